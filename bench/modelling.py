@@ -1,14 +1,15 @@
 """``python -m bench.modelling RECORDINGS [--json FILE]``: models of four photographs each.
 
-Photographs of people of the independent mesh, of true joints, lengths and girths. What the method
-assumes of people's proportions it has from ``man`` and ``woman``, who therefore are not among those
-that count.
+Photographs of people of the independent mesh, of true joints, lengths and girths, read as the paper
+has it and as measured people need. What the method assumes of people's proportions it has from
+``man`` and ``woman``, who therefore are not among those that count.
 
 INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a table, and Metrics.
 """
 
 import tempfile
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,9 +17,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from bench.anthropometry import MeasuredPerson, tape_measure
-from bench.command_line import command
+from bench.command_line import command, seeds
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.modelling.arm_surface import INNER_RINGS, SLICES
+from jaxmocap.modelling.readings import READINGS
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, ModelResult, model_from
 from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig
 from jaxmocap.synthetic.photographs import person_in_stance, write_photographs
@@ -36,7 +38,9 @@ class Errors(NamedTuple):
     """What is off, absolute: (N,) arrays.
 
     Attributes:
-        joints: shoulders, elbows and wrists, metres.
+        shoulders: metres.
+        elbows: metres.
+        wrists: metres.
         lengths: upper arms, forearms, from shoulder to shoulder, metres.
         sizes: widths and depths of trunk and arms, metres.
         girths: of trunk and arms, as a share.
@@ -44,7 +48,9 @@ class Errors(NamedTuple):
         seconds: from files to the model.
     """
 
-    joints: np.ndarray
+    shoulders: np.ndarray
+    elbows: np.ndarray
+    wrists: np.ndarray
     lengths: np.ndarray
     sizes: np.ndarray
     girths: np.ndarray
@@ -52,26 +58,30 @@ class Errors(NamedTuple):
     seconds: np.ndarray
 
 
-def errors(rig: Rig, folder: Path, seed: int = 0) -> Errors:
-    """Photograph a person, make the model and compare."""
-    calibration = write_photographs(folder, rig, seed)
+def errors(rig: Rig, folder: Path, calibration: Path, reading: str) -> Errors:
+    """Make the model of a person's photographs and compare."""
     files = {name: folder / f"{name}.png" for name in PHOTOGRAPHS}
-    made = model_from(files, calibration, folder / "model")
+    made = model_from(files, calibration, folder / "model", reading=reading)
     body = MeasuredPerson.of(person_in_stance(rig, "front"))
     sizes, girths = sections(made, body)
+    shoulders, elbows, wrists = joints(made, rig)
     return Errors(
-        joints(made, rig), lengths(made, body), sizes, girths, surface(made, body),
+        shoulders, elbows, wrists, lengths(made, body), sizes, girths, surface(made, body),
         np.array([made.seconds]),
     )  # fmt: skip
 
 
 def joints(made: ModelResult, rig: Rig) -> np.ndarray:
-    """(6,) metres, in the joint view's stance."""
+    """(3, 2) of shoulders, elbows and wrists, metres, in the joint view's stance."""
     truth = MeasuredPerson.of(person_in_stance(rig, "joint")).landmarks()
-    pairs = zip(made.model.bent, "lr", strict=True)
-    names = ("shoulder", "elbow", "wrist")
-    off = [getattr(b, name) - truth[f"{name}_{s}"] for b, s in pairs for name in names]
-    return np.linalg.norm(off, axis=1)
+    off = [
+        [
+            getattr(b, name) - truth[f"{name}_{s}"]
+            for b, s in zip(made.model.bent, "lr", strict=True)
+        ]
+        for name in ("shoulder", "elbow", "wrist")
+    ]
+    return np.linalg.norm(off, axis=-1)
 
 
 def lengths(made: ModelResult, body: MeasuredPerson) -> np.ndarray:
@@ -115,7 +125,9 @@ def text(rows: dict[str, Errors]) -> str:
     """The table: mean and largest, centimetres and per cent."""
     head = [
         "",
-        "joints cm",
+        "shoulders cm",
+        "elbows cm",
+        "wrists cm",
         "lengths cm",
         "widths, depths cm",
         "girths %",
@@ -124,7 +136,7 @@ def text(rows: dict[str, Errors]) -> str:
     ]
     cells = [head]
     for name, row in rows.items():
-        errors = [f"{100 * e.mean():.1f} ({100 * e.max():.1f})" for e in row[:5]]
+        errors = [f"{100 * e.mean():.1f} ({100 * e.max():.1f})" for e in row[:-1]]
         cells.append([name, *errors, f"{row.seconds.mean():.1f}"])
     return aligned(cells)
 
@@ -134,13 +146,13 @@ def together(rows: Sequence[Errors]) -> Errors:
     return Errors(*(np.concatenate(parts) for parts in zip(*rows, strict=True)))
 
 
-def metrics(every: Errors) -> list[Metric]:
-    """Means and largest of everybody."""
-    result = []
-    for name, off in zip(Errors._fields[:5], every, strict=False):
+def metrics(reading: str, every: Errors) -> list[Metric]:
+    """Means and largest of everybody, by one reading."""
+    result, start = [], f"model, {reading} reading,"
+    for name, off in zip(Errors._fields[:-1], every, strict=False):
         unit, factor = ("%", 100) if name == "girths" else ("cm", 100)
-        result.append(Metric(f"model {name} mean", float(factor * off.mean()), unit))
-        result.append(Metric(f"model {name} largest", float(factor * off.max()), unit))
+        result.append(Metric(f"{start} {name} mean", float(factor * off.mean()), unit))
+        result.append(Metric(f"{start} {name} largest", float(factor * off.max()), unit))
     return result
 
 
@@ -149,19 +161,29 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = command("bench.modelling", __doc__)
     parser.add_argument("recordings", metavar="RECORDINGS")
     parser.add_argument("--people", default=",".join(PEOPLE), help="default: %(default)s")
-    parser.add_argument("--seed", type=int, default=0, help="of backdrops and noise")
+    parser.add_argument(
+        "--seeds", type=seeds, default=seeds("0"), metavar="0-2", help="of backdrops and noise"
+    )
     parser.add_argument("--keep", metavar="DIR", help="keep photographs here")
     parser.add_argument("--json", metavar="FILE", help="write the metrics")
     options = parser.parse_args(arguments)
-    people, rows = Path(options.recordings) / "person" / "person.npz", {}
+    people = Path(options.recordings) / "person" / "person.npz"
+    rows: dict[str, dict[str, list[Errors]]] = {reading: {} for reading in READINGS}
     with tempfile.TemporaryDirectory() as scratch:
-        for who in options.people.split(","):
-            folder = Path(options.keep or scratch) / who
-            rows[who] = errors(load_rig(people, who), folder, options.seed)
-    every = together(list(rows.values()))
-    print(text(rows | {"all": every}))
+        for who, seed in product(options.people.split(","), options.seeds):
+            rig, folder = load_rig(people, who), Path(options.keep or scratch) / f"{who}_{seed}"
+            calibration = write_photographs(folder, rig, seed)
+            for reading, of in rows.items():
+                of.setdefault(who, []).append(errors(rig, folder, calibration, reading))
+    summed = {
+        reading: together([each for some in of.values() for each in some])
+        for reading, of in rows.items()
+    }
+    for reading, of in rows.items():
+        print(f"\n{reading} reading")
+        print(text({who: together(some) for who, some in of.items()} | {"all": summed[reading]}))
     if options.json:
-        write_json(metrics(every), options.json)
+        write_json([m for pair in summed.items() for m in metrics(*pair)], options.json)
 
 
 if __name__ == "__main__":

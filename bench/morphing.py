@@ -1,9 +1,10 @@
 """``python -m bench.morphing RECORDINGS``: what goes along with raised arms, on and off.
 
-Rendered people raise their arms to 150 degrees before four cameras, and their shoulder girdles go
-along by published angles. They are tracked by the shoulders of ``data/shoulder.toml`` and with
-shoulders that nothing takes along. Those were fitted to the man, who is not among those that count.
-Bones have the lengths of the truth's landmarks as they stand at first; so is the first pose.
+Rendered people raise their arms to 150 degrees before four cameras. Their shoulder girdles go along
+by published angles, or stay on the chest. They are tracked with shoulders that nothing takes along,
+with the joints of ``data/shoulder.toml`` alone, and with its joints and skin. Those were fitted to
+the man, who is not among those that count. Bones have the lengths of the truth's landmarks as they
+stand at first; so is the first pose.
 
 INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a table, and Metrics.
 """
@@ -21,17 +22,23 @@ from bench.metrics import Metric, aligned, write_json
 from bench.silhouette import Result, evaluated
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.subject import scale_to_landmarks
+from jaxmocap.body.surfaces.morphing import Morphing, shoulders
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.silhouettes.track import supple_skeleton
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.silhouette.surfaces.morph import Morphing, shoulders
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 
 EXERCISE = "overhead"
 PEOPLE = ("woman", "broad_man", "tall_man", "slim_woman")
+GIRDLES = {"girdles that go along": Girdle(), "girdles that stay": None}
+WAYS = {
+    "off": Morphing(),
+    "joints": Morphing(shoulders().followers),
+    "and skin": shoulders(),
+}
 # What is compared, and how it is taken off a result.
 FIGURES = {
     "shoulders cm": lambda result: result.place("shoulder"),
@@ -52,34 +59,33 @@ def tracked(clip: Clip, morphing: Morphing) -> Result:
     return evaluated(clip, replace(recording, skeleton=skeleton), start, settings)
 
 
-def rows(results: dict[str, tuple[Result, Result]]) -> list[list[str]]:
-    """Person by person, each figure without and with what goes along; then the means."""
+def rows(results: dict[str, tuple[Result, ...]]) -> list[list[str]]:
+    """Person by person, each figure by each of ``WAYS``; then the means."""
     head, below = [""], [""]
     for name in FIGURES:
-        head += [name, ""]
-        below += ["off", "on"]
-    values = {who: _figures(pair) for who, pair in results.items()}
+        head += [name, *[""] * (len(WAYS) - 1)]
+        below += WAYS
+    values = {who: _figures(ways) for who, ways in results.items()}
     values["mean"] = np.mean(list(values.values()), axis=0)
     cells = [[who, *(f"{v:.2f}" for v in row.ravel())] for who, row in values.items()]
-    off, on = values["mean"].T
-    less = [
-        text for a, b in zip(off, on, strict=True) for text in ("", f"{100 * (b / a - 1):+.0f} %")
-    ]
+    changes = 100 * (values["mean"] / values["mean"][:, :1] - 1)
+    less = [text for row in changes for text in ("", *(f"{v:+.0f} %" for v in row[1:]))]
     return [head, below, *cells, ["", *less]]
 
 
-def _figures(pair: tuple[Result, Result]) -> np.ndarray:
-    """(3, 2): each of ``FIGURES`` off and on."""
-    return np.array([[take(result) for result in pair] for take in FIGURES.values()])
+def _figures(ways: tuple[Result, ...]) -> np.ndarray:
+    """(3, 3): each of ``FIGURES`` by each of ``WAYS``."""
+    return np.array([[take(result) for result in ways] for take in FIGURES.values()])
 
 
-def metrics(results: dict[str, tuple[Result, Result]]) -> Iterator[Metric]:
+def metrics(girdle: str, results: dict[str, tuple[Result, ...]]) -> Iterator[Metric]:
     """Everybody's means."""
-    mean = np.mean([_figures(pair) for pair in results.values()], axis=0)
-    for name, both in zip(FIGURES, mean, strict=True):
+    mean = np.mean([_figures(ways) for ways in results.values()], axis=0)
+    for name, values in zip(FIGURES, mean, strict=True):
         kind, unit = name.split()
-        for state, value in zip(("off", "on"), both, strict=True):
-            yield Metric(f"morphing {state}, {kind}", float(value), unit, tolerance=0.1)
+        for way, value in zip(WAYS, values, strict=True):
+            text = f"morphing of {girdle}, {way}, {kind}"
+            yield Metric(text, float(value), unit, tolerance=0.1)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -90,18 +96,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.set_defaults(people=",".join(PEOPLE))
     options = parser.parse_args(arguments)
     keep_compiled()
-    file = Path(options.recordings) / "person" / "person.npz"
-    results = {}
+    file, every = Path(options.recordings) / "person" / "person.npz", []
     with tempfile.TemporaryDirectory() as scratch:
         keep = Path(options.keep or scratch)
-        # Everybody in clothes and rooms of their own.
-        for number, who in enumerate(options.people.split(","), 1):
-            own = [seed + number for seed in options.seeds]
-            for clip in exercises(file, [EXERCISE], own, [who], options.seconds, keep, Girdle()):
-                results[clip.name] = tracked(clip, Morphing()), tracked(clip, shoulders())
-    print(aligned(rows(results)))
+        for girdle, how in GIRDLES.items():
+            results = {}
+            # Everybody in clothes and rooms of their own.
+            for number, who in enumerate(options.people.split(","), 1):
+                own = [seed + number for seed in options.seeds]
+                for clip in exercises(file, [EXERCISE], own, [who], options.seconds, keep, how):
+                    results[clip.name] = tuple(tracked(clip, way) for way in WAYS.values())
+            print(f"\n{girdle}\n{aligned(rows(results))}", flush=True)
+            every += metrics(girdle, results)
     if options.json:
-        write_json(list(metrics(results)), options.json)
+        write_json(every, options.json)
 
 
 if __name__ == "__main__":

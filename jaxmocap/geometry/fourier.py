@@ -1,7 +1,8 @@
-"""Signals along curves and surfaces as matrices: Fourier series, low-pass, interpolation.
+"""Signals along curves and surfaces: Fourier series, low-pass, interpolation.
 
-INPUTS: how many samples, and where values are wanted, in samples.
-OUTPUTS: the matrix that takes the samples to the values (second paper, 3.1.4 and 3.1.5).
+INPUTS: samples, or how many, and where values are wanted.
+OUTPUTS: Fourier descriptors of samples, values by them; the matrix that takes samples to values
+(second paper, 3.1.4 and 3.1.5).
 
 A transform followed by its inverse is one product with such a matrix: what is filtered often, or
 made denser, keeps it.
@@ -10,18 +11,38 @@ made denser, keeps it.
 import numpy as np
 
 
+def phase_vectors(samples: np.ndarray) -> np.ndarray:
+    """Fourier descriptors p_k of a periodic signal's samples (M, D), as of (3.14).
+
+    Returns:
+        (N + 1, D) complex, of frequencies 0 to N = M // 2: those of a real signal's negative
+        frequencies are their conjugates.
+    """
+    vectors = np.fft.rfft(samples, axis=0) / len(samples)
+    if len(samples) % 2 == 0:
+        # The highest stands for itself and its negative.
+        vectors[-1] /= 2
+    return vectors
+
+
+def fourier_series(
+    vectors: np.ndarray, phases: np.ndarray, harmonics: int | None = None
+) -> np.ndarray:
+    """(P, D) a signal's values at phases (P,), radians, by its ``phase_vectors``: (3.15).
+
+    With all frequencies, or the lowest few: a low-pass approximation.
+    """
+    highest = len(vectors) - 1 if harmonics is None else min(harmonics, len(vectors) - 1)
+    waves = np.exp(1j * phases[:, None] * np.arange(1, highest + 1))
+    return np.real(vectors[0]) + 2 * np.real(waves @ vectors[1 : highest + 1])
+
+
 def fourier_matrix(count: int, places: np.ndarray, harmonics: int | None = None) -> np.ndarray:
     """(P, count) that takes a periodic signal's samples to its values at ``places`` in [0, count).
 
     The inverse transform of the transform, (3.15), with all harmonics or the lowest few.
     """
-    highest = count // 2 if harmonics is None else harmonics
-    turns = 2 * np.pi / count * (places[:, None] - np.arange(count))
-    waves = [np.cos(k * turns) for k in range(1, min(highest, (count - 1) // 2) + 1)]
-    total = 1 + 2 * np.sum(waves, 0) if waves else np.ones_like(turns)
-    if count % 2 == 0 and highest >= count // 2:
-        total = total + np.cos(count / 2 * turns)
-    return total / count
+    return fourier_series(phase_vectors(np.eye(count)), 2 * np.pi / count * places, harmonics)
 
 
 def linear_matrix(count: int, places: np.ndarray, periodic: bool = False) -> np.ndarray:

@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxmocap.modelling.pictures.corners import evenly_spaced, turning_angles
 from jaxmocap.modelling.pictures.medial_axis import MedialAxis, path
+from jaxmocap.modelling.readings import Reading
 
 # Deviation of the blur over an axis, pixels.
 SMOOTH_PX = 4.0
@@ -23,14 +24,6 @@ SMOOTH_PX = 4.0
 CORNER_REACH = 0.05
 # A bent elbow turns the axis by at least so much, radians.
 LEAST_BEND = 0.5
-# The elbow's joint lies so far from the axis' corner towards the rim: the paper says half-way; two
-# people whose joints were measured, and on whom nothing is tested, have 0.37 and 0.14.
-TOWARDS_RIM = 0.25
-# The axis turns before the elbow: by this share of its way from shoulder to tip, by the same
-# two people.
-ELBOW_BEYOND_CORNER = 0.007
-# The wrist's joint lies so far beyond the thinnest place before the palm, by the same share.
-WRIST_BEYOND_THINNEST = 0.022
 # Deviation of the blur over radii along the axis, pixels: single pixels make no place thin.
 SMOOTH_RADII_PX = 3.0
 
@@ -78,13 +71,16 @@ def arm_axis(
     return evenly_spaced(gaussian_filter1d(way, SMOOTH_PX, axis=0, mode="nearest"))
 
 
-def arm_joints(axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray) -> ArmPixels:
+def arm_joints(
+    axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray, reading: Reading
+) -> ArmPixels:
     """Joints of one arm.
 
     Args:
         axis: (K, 2) of ``arm_axis``.
         distance: (H, W) pixels to the rim.
         shoulder: (2,) its pixel.
+        reading: where joints lie on an axis.
 
     Raises:
         ValueError: the arm is not bent, or no wrist is slimmer than the palm.
@@ -98,10 +94,10 @@ def arm_joints(axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray) -> 
         degrees = np.degrees(turned[middle])
         raise ValueError(f"found an arm bent by {degrees:.0f} degrees, expected a bent elbow")
     long = len(axis) - first
-    middle += round(ELBOW_BEYOND_CORNER * long)
-    wrist = _wrist(axis, distance, middle, round(WRIST_BEYOND_THINNEST * long))
+    middle += round(reading.elbow_beyond_corner * long)
+    wrist = _wrist(axis, distance, middle, round(reading.wrist_beyond_thinnest * long))
     corner = axis[middle]
-    elbow = corner + TOWARDS_RIM * _rim(corner, axis[first], axis[wrist], distance)
+    elbow = corner + reading.towards_rim * _rim(corner, axis[first], axis[wrist], distance)
     return ArmPixels(shoulder, elbow, corner, axis[wrist], axis[-1], axis)
 
 

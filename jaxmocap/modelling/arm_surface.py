@@ -14,8 +14,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from jaxmocap.body.surfaces.loft import BLEND
-from jaxmocap.modelling.trunk import SMOOTHING_SLICES, superellipse_ring
-from jaxmocap.modelling.views import STEP_M, PhotographView
+from jaxmocap.modelling.pictures.views import STEP_M, PhotographView
+from jaxmocap.modelling.readings import OWN, Reading, slice_ring
+from jaxmocap.modelling.trunk import SMOOTHING_SLICES
 
 # Slices of upper arm, forearm and hand.
 SLICES = (16, 16, 12)
@@ -135,7 +136,11 @@ def _spans(view: PhotographView, points: np.ndarray, ways: np.ndarray) -> np.nda
 
 
 def arm_rings(
-    bend: np.ndarray, hinge: np.ndarray, shoulder: np.ndarray, lengths: np.ndarray
+    bend: np.ndarray,
+    hinge: np.ndarray,
+    shoulder: np.ndarray,
+    lengths: np.ndarray,
+    reading: Reading = OWN,
 ) -> np.ndarray:
     """(K, N, 3) the arm stretched out level to its side, from within the trunk to the fingertip.
 
@@ -145,11 +150,12 @@ def arm_rings(
         hinge: (K, 2) reaches up and down.
         shoulder: (3,) its joint, world, metres; left where y is positive as seen from the neck.
         lengths: (3,) of upper arm and forearm, and how far the hand reaches along it.
+        reading: how slices are made of reaches.
     """
     side = np.sign(shoulder[1])
     along = np.interp(slice_positions(), np.arange(4.0), np.append(0.0, np.cumsum(lengths)))
     fullness = np.repeat(FULLNESS, [*SLICES[:2], SLICES[2] + 1])
-    rings = np.stack([_ring(*three) for three in zip(bend, hinge, fullness, strict=True)])
+    rings = np.stack([_ring(*three, reading) for three in zip(bend, hinge, fullness, strict=True)])
     # Inwards it goes on as it begins, somewhat slimmer, so that it ends within the trunk.
     inner = np.linspace(-INTO_TRUNK * abs(shoulder[1]), 0, INNER_RINGS + 1)[:-1]
     slim = np.linspace(0.7, 1.0, INNER_RINGS + 1)[:-1, None, None]
@@ -158,10 +164,10 @@ def arm_rings(
     return shoulder + np.stack([rings[..., 0], y, rings[..., 1]], -1)
 
 
-def _ring(bend: np.ndarray, hinge: np.ndarray, fullness: float) -> np.ndarray:
+def _ring(bend: np.ndarray, hinge: np.ndarray, fullness: float, reading: Reading) -> np.ndarray:
     """(N, 2) ahead and up."""
     (ahead, back), (up, down) = (
         np.maximum(pair, least - pair[::-1]) for pair, least in ((bend, 2e-3), (hinge, 2e-3))
     )
     corners = np.array([[ahead, up], [-back, up], [-back, -down], [ahead, -down]])
-    return superellipse_ring(corners, fullness, RING_NODES)
+    return slice_ring(corners, fullness, reading, RING_NODES)

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from jaxmocap.modelling.arm_surface import ArmBones
+from jaxmocap.modelling.pictures.views import PhotographView
 from jaxmocap.modelling.separation import FrontLandmarks, trunk_run
-from jaxmocap.modelling.views import PhotographView
 
 # Deviation of the blur over the middles of an arm's rows.
 SMOOTH_ROWS = 3.0

@@ -22,10 +22,11 @@ from jaxmocap.modelling.arm_surface import (
 )
 from jaxmocap.modelling.lifted_arms import lifted_arms
 from jaxmocap.modelling.pictures.medial_axis import medial_axis, rim_distance
+from jaxmocap.modelling.pictures.views import PhotographView
+from jaxmocap.modelling.readings import OWN, Reading
 from jaxmocap.modelling.separation import FrontLandmarks, find_landmarks, narrowest_neck
 from jaxmocap.modelling.thighs import Thighs, find_thighs
 from jaxmocap.modelling.trunk import Trunk, find_trunk
-from jaxmocap.modelling.views import PhotographView
 
 # Unit vectors of the world in which the person faces +x.
 AHEAD = np.array([1.0, 0.0, 0.0])
@@ -35,8 +36,6 @@ SIDES = (("l", 1.0), ("r", -1.0))
 # All of two people of measured joints, on whom nothing is tested; shares of the stature.
 # From bottom line to vertex.
 UPPER_BODY = 0.532
-# The elbow's joint above the axis of a stretched arm, its hinge upright.
-ELBOW_ABOVE = 0.0024
 # The shoulder's joint from the middle to its side,
 SHOULDER_ASIDE = 0.102
 # from the arm pit outwards
@@ -117,12 +116,15 @@ class PersonModel(NamedTuple):
         return result | {"shoulders": float(np.linalg.norm(across))}
 
 
-def person_model(views: dict[str, PhotographView], bottom: int | None = None) -> PersonModel:
+def person_model(
+    views: dict[str, PhotographView], bottom: int | None = None, reading: Reading = OWN
+) -> PersonModel:
     """A model from the views ``front``, ``side``, ``joint`` and ``arm_side``.
 
     Args:
         views: the four of them.
         bottom: row of the trunk's bottom line in the front view; found where the legs part.
+        reading: how joints and slices are made of silhouettes.
 
     Raises:
         ValueError: what a view shows is not the stance that is asked for.
@@ -130,13 +132,13 @@ def person_model(views: dict[str, PhotographView], bottom: int | None = None) ->
     with _of("front"):
         landmarks = find_landmarks(views["front"].mask, bottom)
     with _of("side"):
-        body = find_trunk(views["front"], views["side"], landmarks)
+        body = find_trunk(views["front"], views["side"], landmarks, reading)
     with _of("joint"):
         joint = aligned_view(views["joint"], views["front"], landmarks, body)
-        pixels, bent = bent_arms(joint, body)
+        pixels, bent = bent_arms(joint, body, reading)
     with _of("arm_side"):
         arm_side = aligned_view(views["arm_side"], views["front"], landmarks, body)
-        stretched = stretched_arms(arm_side, body, bent)
+        stretched = stretched_arms(arm_side, body, bent, reading)
     arms = tuple(
         arm_rings(
             without_elbow_fold(
@@ -145,6 +147,7 @@ def person_model(views: dict[str, PhotographView], bottom: int | None = None) ->
             arm_thickness(arm_side, straight, UP),
             bones.shoulder,
             np.append(bones.lengths[:2], hand_extent(bones)),
+            reading,
         )
         for bones, straight in zip(bent, stretched, strict=True)
     )
@@ -166,12 +169,12 @@ def _of(view: str) -> Iterator[None]:
 
 
 def bent_arms(
-    joint: PhotographView, body: Trunk
+    joint: PhotographView, body: Trunk, reading: Reading
 ) -> tuple[tuple[ArmPixels, ...], tuple[ArmBones, ...]]:
     """Left and right arm in the joint view, in pixels and in metres."""
     shoulders, distance = shoulder_joints(body, joint), rim_distance(joint.mask)
     result = tuple(
-        arm_joints(way, distance, joint.pixels(shoulder))
+        arm_joints(way, distance, joint.pixels(shoulder), reading)
         for way, shoulder in zip(arm_axes(joint, body), shoulders, strict=True)
     )
     ends = [np.array([arm.elbow, arm.wrist, arm.tip]) for arm in result]
@@ -183,13 +186,13 @@ def bent_arms(
 
 
 def stretched_arms(
-    arm_side: PhotographView, body: Trunk, bent: tuple[ArmBones, ...]
+    arm_side: PhotographView, body: Trunk, bent: tuple[ArmBones, ...], reading: Reading
 ) -> tuple[ArmBones, ...]:
     """Left and right arm in their side view: the bones as long as in the joint view."""
     tall, result = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY, []
     for way, bones in zip(arm_axes(arm_side, body), bent, strict=True):
         arm = arm_on_axis(arm_side.plane_points(way, bones.shoulder, AHEAD), bones)
-        result.append(arm._replace(elbow=arm.elbow + tall * ELBOW_ABOVE * UP))
+        result.append(arm._replace(elbow=arm.elbow + tall * reading.elbow_above * UP))
     return tuple(result)
 
 

@@ -12,7 +12,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.modelling.arm_surface import INNER_RINGS, hand_extent, slice_positions
 from jaxmocap.modelling.person import SIDES, PersonModel
-from jaxmocap.modelling.trunk import superellipse_ring
+from jaxmocap.modelling.readings import superellipse_ring
 
 # From here on along an arm (0 the shoulder, 1 the elbow) slices are as they were measured; nearer
 # to the shoulder they run into the trunk.

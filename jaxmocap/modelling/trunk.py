@@ -1,8 +1,8 @@
 """Trunk, neck and head from the front and the side silhouette (second paper, 2.1).
 
 A level slice is cut by four lines: through each camera and the two edges of its silhouette. The
-body's contour touches all four; a closed B-spline, about a superellipse within their quadrilateral,
-is what two silhouettes determine of it.
+body's contour touches all four; a closed curve within their quadrilateral is what two silhouettes
+determine of it (``readings``).
 
 INPUTS: two Views nearly at right angles; the landmarks of the front view.
 OUTPUTS: a grid of closed rings from the bottom line to the top of the head, world, metres.
@@ -11,18 +11,14 @@ OUTPUTS: a grid of closed rings from the bottom line to the top of the head, wor
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
+from jaxmocap.modelling.pictures.views import PhotographView
+from jaxmocap.modelling.readings import Reading, slice_ring
 from jaxmocap.modelling.separation import FrontLandmarks
-from jaxmocap.modelling.views import PhotographView
 
 # Rings of trunk, neck and head.
 RINGS = 72
-# Nodes of each.
-RING_NODES = 48
-# Control points of a ring's spline.
-CONTROL_POINTS = 16
 # Deviation of the smoothing along a limb, slices.
 SMOOTHING_SLICES = 0.8
 # How full a slice is, the power of its superellipse (2 for an ellipse), by the height above the
@@ -49,7 +45,9 @@ class Trunk(NamedTuple):
     pits: np.ndarray
 
 
-def find_trunk(front: PhotographView, side: PhotographView, landmarks: FrontLandmarks) -> Trunk:
+def find_trunk(
+    front: PhotographView, side: PhotographView, landmarks: FrontLandmarks, reading: Reading
+) -> Trunk:
     """Everything but the arms, from the bottom line to the top of the head."""
     middle = trunk_middle(front, side, landmarks)
     ahead = np.array([1.0, 0.0, 0.0])
@@ -70,7 +68,7 @@ def find_trunk(front: PhotographView, side: PhotographView, landmarks: FrontLand
     shares = (heights - low) / (pits[:, 2].mean() - low)
     fullness = np.interp(shares, *FULLNESS)
     rings = np.stack(
-        [superellipse_ring(c, full) for c, full in zip(corners, fullness, strict=True)]
+        [slice_ring(c, full, reading) for c, full in zip(corners, fullness, strict=True)]
     )
     level = np.broadcast_to(heights[:, None, None], (*rings.shape[:2], 1))
     return Trunk(np.concatenate([rings, level], -1), np.array(middles), pits)
@@ -122,22 +120,3 @@ def _line(view: PhotographView, edge: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def _crossing(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     share = np.linalg.solve(np.stack([a[1], -b[1]], 1), b[0] - a[0])[0]
     return a[0] + share * a[1]
-
-
-def superellipse_ring(corners: np.ndarray, fullness: float, nodes: int = RING_NODES) -> np.ndarray:
-    """(N, 2) a closed cubic B-spline within a quadrilateral (4, 2), which it touches on all sides.
-
-    From the middle of the front to the left; ``fullness`` is 2 for an ellipse, more is boxier.
-    """
-    angle = 2 * np.pi * np.arange(CONTROL_POINTS) / CONTROL_POINTS
-    c, s = np.cos(angle), np.sin(angle)
-    u, v = (np.sign(t) * np.abs(t) ** (2 / fullness) for t in (c, s))
-    u, v = (1 + u)[:, None] / 2, (1 + v)[:, None] / 2
-    front_left, back_left, back_right, front_right = corners
-    places = v * (u * front_left + (1 - u) * back_left)
-    places = places + (1 - v) * (u * front_right + (1 - u) * back_right)
-    closed = np.concatenate([places, places[:1]])
-    spline = make_interp_spline(
-        np.linspace(0, 1, CONTROL_POINTS + 1), closed, k=3, bc_type="periodic"
-    )
-    return spline(np.arange(nodes) / nodes)

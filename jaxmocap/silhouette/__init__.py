@@ -5,4 +5,10 @@ body's surface (``surfaces/``), pair both and solve (``fit/``), recover lost lim
 A recording goes through ``passes.run_passes``, each pass of which learns backgrounds and the
 person's shape for the next. All that a tracker remembers is in ``state.State``; all that a user may
 tune is in ``settings.Settings``. Begin with ``tracker``.
+
+Apart from persons, ``solve_contour_pose`` finds a rigid object by its contour.
 """
+
+from jaxmocap.silhouette.contour_pose import ContourPose, ContourPoseSettings, solve_contour_pose
+
+__all__ = ["ContourPose", "ContourPoseSettings", "solve_contour_pose"]

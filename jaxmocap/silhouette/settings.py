@@ -5,6 +5,7 @@ INPUTS: nothing. OUTPUTS: Settings, whose defaults were chosen on rendered exerc
 
 from dataclasses import dataclass, field
 
+from jaxmocap.body.surfaces.morphing import Morphing
 from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.terms import Term
 from jaxmocap.silhouette.fit.correspond import MatchSettings
@@ -12,7 +13,6 @@ from jaxmocap.silhouette.recovery.settings import LimbSearchSettings, RecoverySe
 from jaxmocap.silhouette.segmentation import segment
 from jaxmocap.silhouette.segmentation.inner_edges import InnerEdgeSettings
 from jaxmocap.silhouette.smoothing import PoseSmoothingSettings
-from jaxmocap.silhouette.surfaces.morph import Morphing
 from jaxmocap.silhouette.surfaces.rim import RimSettings
 
 # Of a first pose that is off by 10 degrees and 6 cm: half of such poses are then found.

@@ -7,6 +7,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from photograph_masks import true_person_mask
+from scipy.interpolate import BSpline
 from scipy.spatial import Delaunay
 
 from bench.anthropometry import MeasuredPerson, tape_measure
@@ -16,9 +17,9 @@ from jaxmocap.modelling.person import StanceError, person_model
 from jaxmocap.modelling.pictures.closed_mesh import closed_mesh, joined_meshes, volume
 from jaxmocap.modelling.pictures.corners import evenly_spaced, turning_angles
 from jaxmocap.modelling.pictures.medial_axis import medial_axis, path, rim_distance
+from jaxmocap.modelling.pictures.views import PhotographView
+from jaxmocap.modelling.readings import PAPER, spline_ring, superellipse_ring
 from jaxmocap.modelling.separation import find_landmarks
-from jaxmocap.modelling.trunk import superellipse_ring
-from jaxmocap.modelling.views import PhotographView
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import (
     PHOTOGRAPHS,
@@ -117,6 +118,16 @@ def test_a_slice_touches_the_four_lines_that_it_is_seen_by(half, fullness, lean)
     assert slope.max() == pytest.approx(y, rel=0.02)
 
 
+def test_four_control_points_make_a_slice_that_touches_all_sides_in_their_middles():
+    corners = np.array([[0.12, 0.2], [-0.1, 0.21], [-0.11, -0.19], [0.13, -0.2]])
+    outline = spline_ring(corners, 48)
+    middles = (corners + np.roll(corners, 1, 0)) / 2
+    np.testing.assert_allclose(outline[::12], middles, atol=1e-12)
+    # De Boor's algorithm as SciPy has it.
+    spline = BSpline(np.arange(-2.0, 7), corners[[3, 0, 1, 2, 3, 0]], 2)
+    np.testing.assert_allclose(outline, spline(np.arange(48) / 12), atol=1e-12)
+
+
 def test_a_full_slice_is_longer_around_than_an_ellipse():
     corners = np.array([[1.0, 2.0], [-1.0, 2.0], [-1.0, -2.0], [1.0, -2.0]])
     girths = [
@@ -164,6 +175,21 @@ def test_joints_lie_where_they_are(subject):
     for bones, side in zip(model.bent, "lr", strict=True):
         for name in ("shoulder", "elbow", "wrist"):
             assert np.linalg.norm(getattr(bones, name) - truth[f"{name}_{side}"]) < 0.015
+
+
+def test_the_paper_s_elbow_is_half_way_between_the_axis_corner_and_the_rim(subject):
+    _, views, own = subject
+    paper = person_model(views, reading=PAPER)
+    covered = views["joint"].mask
+    for arm, ours in zip(paper.arm_pixels, own.arm_pixels, strict=True):
+        away = arm.elbow - arm.corner
+        for share, inside in ((1.85, True), (2.15, False)):
+            column, row = np.rint(arm.corner + share * away).astype(int)
+            assert covered[row, column] == inside
+        assert np.linalg.norm(away) > 1.5 * np.linalg.norm(ours.elbow - ours.corner)
+    ring, other = (model.trunk.rings[20][:, :2] for model in (paper, own))
+    np.testing.assert_allclose(np.ptp(ring, axis=0), np.ptp(other, axis=0), rtol=0.02)
+    assert np.abs(paper.trunk.rings - own.trunk.rings).max() > 0.002
 
 
 def test_bones_are_as_long_as_they_are(subject):

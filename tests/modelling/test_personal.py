@@ -27,11 +27,11 @@ from jaxmocap.modelling.fitted_rings import fitted_grid
 from jaxmocap.modelling.lifted_arms import lifted_arms
 from jaxmocap.modelling.person import PersonModel, arm_on_axis
 from jaxmocap.modelling.personal import arm_angles, personal_model
+from jaxmocap.modelling.pictures.views import PhotographView
 from jaxmocap.modelling.separation import FrontLandmarks
 from jaxmocap.modelling.slices import BodySlices
 from jaxmocap.modelling.thighs import Thighs, find_thighs
 from jaxmocap.modelling.trunk import RINGS, Trunk
-from jaxmocap.modelling.views import PhotographView
 from jaxmocap.pipelines.silhouettes.person import with_model
 from jaxmocap.synthetic.drawing_camera import look_at
 

@@ -65,7 +65,8 @@ def test_the_folder_holds_model_report_and_a_picture_of_every_step(made):
         assert picture.std() > 10
     report = json.loads((made / "report.json").read_text(encoding="utf-8"))
     assert report == json.loads((made / "figures.json").read_text(encoding="utf-8"))
-    assert set(report) == {"lengths", "girths", "joints", "seconds"}
+    assert set(report) == {"reading", "lengths", "girths", "joints", "seconds"}
+    assert report["reading"] == "own"
 
 
 def test_the_person_has_their_colours_on(made):

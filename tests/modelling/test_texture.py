@@ -14,6 +14,7 @@ from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.modelling.pictures.medial_axis import rim_distance
+from jaxmocap.modelling.pictures.views import PhotographView
 from jaxmocap.modelling.texture.avatar import Avatar, avatar_of
 from jaxmocap.modelling.texture.fusion import (
     closed_holes,
@@ -25,7 +26,6 @@ from jaxmocap.modelling.texture.fusion import (
 )
 from jaxmocap.modelling.texture.splats import NONE, nearest_points, splatted, visible_points
 from jaxmocap.modelling.texture.texels import texels_of
-from jaxmocap.modelling.views import PhotographView
 
 TEXEL = 0.008
 BACKDROP = np.array([90, 200, 60], np.uint8)

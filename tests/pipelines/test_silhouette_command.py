@@ -95,9 +95,23 @@ def test_lengths_are_found_by_more_than_one_pass(folder, tmp_path, capsys):
     )
 
 
-@pytest.mark.parametrize(("given", "followers"), [((), False), (("--shoulders",), True)])
-def test_shoulders_go_along_where_asked_to(folder, tmp_path, monkeypatch, given, followers):
+SWELLS = """[[swelling]]
+patch = "arm"
+steered_by = ["elbow_flex"]
+gain = 0.01
+centre = [0, 0.3]
+radii = [60, 0.1]
+"""
+
+
+@pytest.mark.parametrize(
+    ("given", "counts"),
+    [((), (0, 0)), (("--shoulders",), (4, 2)), (("--morphing", "swells.toml"), (0, 2))],
+)
+def test_shoulders_and_skin_go_along_where_asked_to(folder, tmp_path, monkeypatch, given, counts):
     asked = {}
+    (tmp_path / "swells.toml").write_text(SWELLS)
+    monkeypatch.chdir(tmp_path)
 
     def follow(*_, settings, **__):
         asked["settings"] = settings
@@ -107,7 +121,8 @@ def test_shoulders_go_along_where_asked_to(folder, tmp_path, monkeypatch, given,
     path = str(folder / "recording.toml")
     out = str(tmp_path / "out")
     assert main(["silhouette", "track", path, "--at", "0,0,0", "--out", out, *given]) == 2
-    assert bool(asked["settings"].morphing.followers) == followers
+    morphing = asked["settings"].morphing
+    assert (len(morphing.followers), len(morphing.swellings)) == counts
     # Who says by hand where somebody stands says it roughly.
     assert asked["settings"].starting_deviations
 

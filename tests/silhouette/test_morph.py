@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import twists
+import screws
 from conftest import double
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import Skeleton, with_joints
+from jaxmocap.body.surfaces import morphing as b
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import (
     BodyPoints,
@@ -29,12 +30,12 @@ from jaxmocap.silhouette.surfaces import swelling as s
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 BODY = with_joints(Skeleton.human(1.75), "supple.toml")
 SURFACE, JOINTS, TREE = generic_surface(BODY), rest_joints(BODY), BODY.tree
-LIFT = m.Driver(("arm_flex_l", "arm_abduct_l"))
-BENT = m.Driver(("elbow_flex_l",), "squared")
-TOP = m.Swelling("arm_l", LIFT, (1.2, 0.1), (0.8, 0.1), 0.03)
-AHEAD = m.Swelling("torso", BENT, (0.3, 0.6), (1.0, 0.2), 0.02, (1.0, 0.0, 0.0))
-SHOULDER = m.Morphing(
-    (m.Follower("clavicle_raise_l", LIFT, 0.25), m.Follower("clavicle_protract_l", LIFT, -0.4)),
+LIFT = b.Driver(("arm_flex_l", "arm_abduct_l"))
+BENT = b.Driver(("elbow_flex_l",), "squared")
+TOP = b.Swelling("arm_l", LIFT, (1.2, 0.1), (0.8, 0.1), 0.03)
+AHEAD = b.Swelling("torso", BENT, (0.3, 0.6), (1.0, 0.2), 0.02, (1.0, 0.0, 0.0))
+SHOULDER = b.Morphing(
+    (b.Follower("clavicle_raise_l", LIFT, 0.25), b.Follower("clavicle_protract_l", LIFT, -0.4)),
     (TOP, AHEAD),
 )
 MORPH = s.morph_around(SHOULDER, TREE, SURFACE, JOINTS)
@@ -65,7 +66,7 @@ def interpolated(
         t: () from 0 to 1.
         weighting: a name of ``WEIGHTINGS``.
     """
-    weight = m.WEIGHTINGS[weighting](jnp.asarray(t))
+    weight = b.WEIGHTINGS[weighting](jnp.asarray(t))
     places, shares = (
         weight * jnp.asarray(a) + (1 - weight) * jnp.asarray(b)
         for a, b in zip(first[1:], second[1:], strict=True)
@@ -126,12 +127,12 @@ ARM = [TREE.joint(f"arm_{name}_l") for name in ("flex", "abduct", "rot")]
 
 
 @jax.jit
-def transported(screws, both, turns):
+def transported(carried, both, turns):
     """Screws moved as two others turn, one after the other."""
-    return twists.transport(twists.product_of_exponentials(both, turns), screws)
+    return screws.transport(screws.product_of_exponentials(both, turns), carried)
 
 
-def screws(frames, joints):
+def joint_screws(frames, joints):
     """(J, 6) of joints in the world."""
     pivots = np.asarray(frames.joints_world)[np.array(TREE.dof_bones)[joints]]
     axes = np.asarray(frames.axes_world)[joints]
@@ -148,8 +149,9 @@ def test_a_shoulder_s_hinges_are_carried_along_as_equation_4_21_says(at):
     turns = np.asarray(full.angles)[[RAISE, PROTRACT]]
     assert turns[0] > 0 > turns[1]
     before = FORWARD(BODY, free)
-    lifted = transported(screws(before, ARM), screws(before, [RAISE, PROTRACT]), turns)
-    np.testing.assert_allclose(screws(FORWARD(BODY, full), ARM), lifted, atol=2e-5)
+    both = joint_screws(before, [RAISE, PROTRACT])
+    lifted = transported(joint_screws(before, ARM), both, turns)
+    np.testing.assert_allclose(joint_screws(FORWARD(BODY, full), ARM), lifted, atol=2e-5)
 
 
 @given(angles)
@@ -173,7 +175,7 @@ def test_a_hanging_arm_moves_nothing_and_a_raised_one_its_own_side():
 
 
 def test_without_drivers_all_is_as_it_was():
-    nothing = s.morph_around(m.Morphing(), TREE, SURFACE, JOINTS)
+    nothing = s.morph_around(b.Morphing(), TREE, SURFACE, JOINTS)
     pose = standing(np.linspace(0.1, 0.2, len(LOW)).clip(LOW, HIGH))
     np.testing.assert_array_equal(m.with_followers(nothing, pose, BODY).angles, pose.angles)
     assert nothing.moves is None
@@ -197,16 +199,16 @@ def test_the_worn_skin_is_where_its_points_are():
     assert np.linalg.norm(np.stack(drawn, 1) - np.stack(still, 1), axis=1).max() > 0.015
 
 
-@pytest.mark.parametrize("name", m.WEIGHTINGS)
+@pytest.mark.parametrize("name", b.WEIGHTINGS)
 def test_a_weighting_goes_from_0_to_1_and_has_a_derivative_everywhere(name):
-    values = jax.jit(jax.vmap(jax.value_and_grad(m.WEIGHTINGS[name])))
+    values = jax.jit(jax.vmap(jax.value_and_grad(b.WEIGHTINGS[name])))
     weights, slopes = map(np.asarray, values(np.linspace(0, 1, 101, dtype=np.float32)))
     assert weights[0] == 0 and weights[-1] == 1 and (np.diff(weights) > 0).all()
     assert np.isfinite(slopes).all()
 
 
 def test_the_root_begins_fast_and_the_square_slowly():
-    root, line, square = (m.WEIGHTINGS[k](0.3) for k in ("square_root", "linear", "squared"))
+    root, line, square = (b.WEIGHTINGS[k](0.3) for k in ("square_root", "linear", "squared"))
     assert root > line > square
 
 
@@ -224,12 +226,12 @@ def test_one_person_becomes_another():
     np.testing.assert_allclose(half, middle, atol=1e-6)
 
 
-@pytest.mark.parametrize("weighting", m.WEIGHTINGS)
+@pytest.mark.parametrize("weighting", b.WEIGHTINGS)
 def test_a_body_goes_over_into_another_as_equation_4_26_says(weighting):
     """Steered by an elbow's angle of 0 to 1 radian, node by node as ``between`` has it."""
     stouter = corresponding(generic_surface(BODY, 1.3), JOINTS, SURFACE)
-    over = m.Transition(m.Driver(("elbow_flex_l",), weighting), stouter)
-    morph = s.morph_around(m.Morphing(transitions=(over,)), TREE, SURFACE, JOINTS)
+    over = b.Transition(b.Driver(("elbow_flex_l",), weighting), stouter)
+    morph = s.morph_around(b.Morphing(transitions=(over,)), TREE, SURFACE, JOINTS)
     for t in (0.0, 0.3, 1.0):
         at = np.zeros(len(LOW))
         at[TREE.joint("elbow_flex_l")] = t
@@ -241,7 +243,7 @@ def test_a_body_goes_over_into_another_as_equation_4_26_says(weighting):
 
 def test_only_patches_that_are_named_go_over_and_denser_nodes_as_the_others():
     stouter = generic_surface(BODY, 1.3)
-    over = m.Transition(LIFT, stouter, ("arm_l",))
+    over = b.Transition(LIFT, stouter, ("arm_l",))
     dense = resampled(SURFACE, JOINTS, 0.03)
     moves = s.transition_offsets(SURFACE, JOINTS, over, 0.03)
     arm = next(patch for patch in dense.patches if patch.name == "arm_l")
@@ -254,7 +256,7 @@ def test_only_patches_that_are_named_go_over_and_denser_nodes_as_the_others():
 def test_surfaces_of_other_patches_do_not_correspond():
     fewer = type(SURFACE)(SURFACE.patches[1:], SURFACE.points)
     with pytest.raises(ValueError, match="node for node"):
-        s.transition_offsets(SURFACE, JOINTS, m.Transition(LIFT, fewer))
+        s.transition_offsets(SURFACE, JOINTS, b.Transition(LIFT, fewer))
 
 
 @given(
@@ -292,7 +294,7 @@ def test_several_places_swell_at_once_each_by_its_own_driver():
 
 
 def test_the_shoulders_of_the_package_are_alike_on_both_sides():
-    morphing = m.shoulders()
+    morphing = b.shoulders()
     count = len(morphing.followers) // 2
     for left, right in zip(morphing.followers[:count], morphing.followers[count:], strict=True):
         assert left.gain == right.gain and left.joint[:-1] == right.joint[:-1]
@@ -301,9 +303,9 @@ def test_the_shoulders_of_the_package_are_alike_on_both_sides():
 
 
 def test_a_trunk_s_swelling_is_mirrored_on_the_one_patch_that_it_has():
-    row = {"patch": "torso", "single": True, "steered_by": ["arm_flex"], "gain": 0.01}
+    row = {"patch": "torso", "steered_by": ["arm_flex"], "gain": 0.01}
     row |= {"centre": [60.0, 0.6], "radii": [45.0, 0.1], "weighting": "squared"}
-    morphing = m.morphing_of({"swelling": [row]})
+    morphing = b.morphing_of({"swelling": [row]})
     left, right = np.moveaxis(
         np.asarray(s.morph_around(morphing, TREE, SURFACE, JOINTS).moves), 2, 0
     )
@@ -318,11 +320,11 @@ def test_a_trunk_s_swelling_is_mirrored_on_the_one_patch_that_it_has():
 @pytest.mark.parametrize(
     ("morphing", "kind", "says"),
     [
-        (m.Morphing((m.Follower("wing_l", LIFT, 1.0),)), KeyError, "wing_l"),
-        (m.Morphing((m.Follower("arm_flex_l", LIFT, 1.0),)), ValueError, "drives and follows"),
-        (m.Morphing((), (TOP._replace(patch="tail"),)), ValueError, "arm_l"),
-        (m.Morphing(transitions=(m.Transition(LIFT, SURFACE, ("tail",)),)), ValueError, "tail"),
-        (m.Morphing((), (TOP._replace(driver=m.Driver(("arm_rot_l",), "cubed")),)), KeyError, "sq"),
+        (b.Morphing((b.Follower("wing_l", LIFT, 1.0),)), KeyError, "wing_l"),
+        (b.Morphing((b.Follower("arm_flex_l", LIFT, 1.0),)), ValueError, "drives and follows"),
+        (b.Morphing((), (TOP._replace(patch="tail"),)), ValueError, "arm_l"),
+        (b.Morphing(transitions=(b.Transition(LIFT, SURFACE, ("tail",)),)), ValueError, "tail"),
+        (b.Morphing((), (TOP._replace(driver=b.Driver(("arm_rot_l",), "cubed")),)), KeyError, "sq"),
     ],
 )
 def test_what_cannot_go_along_is_named(morphing, kind, says):

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import twists
+import screws
 from conftest import double, on_device, poses
 from hypothesis import given, settings
 from point_rays import on_rays
@@ -13,6 +13,7 @@ from point_rays import on_rays
 from jaxmocap.body.kinematics import forward, jacobian
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.surfaces.surface import BodyPoints, posed
+from jaxmocap.geometry import twists
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.lines import Lines, camera_lines
 from jaxmocap.geometry.rotations import quaternion_to_matrix
@@ -112,10 +113,10 @@ def test_the_product_of_exponentials_of_screws_at_rest_is_forward_kinematics(ske
         rest = FORWARD(skeleton64, at_rest(skeleton64))
         frames = FORWARD(skeleton64, on_device(pose))
         tree = skeleton64.tree
-        screws = twists.screw(rest.joints_world[np.array(tree.dof_bones)], rest.axes_world)
+        at_rest_screws = screws.screw(rest.joints_world[np.array(tree.dof_bones)], rest.axes_world)
         R_world_root = quaternion_to_matrix(on_device(pose.quaternion))
         body = np.asarray(twists.rigid(R_world_root, on_device(pose.position)))
-        turns = np.asarray(EXP(on_device(pose.angles)[:, None] * screws))
+        turns = np.asarray(EXP(on_device(pose.angles)[:, None] * at_rest_screws))
     for bone, name in enumerate(tree.bones):
         T = body
         for above in tree.chain(name):
@@ -136,13 +137,13 @@ def test_columns_of_the_jacobian_are_the_joints_screws_applied_to_the_point(skel
         frames = FORWARD(skeleton64, on_device(pose))
         J = np.asarray(JACOBIAN(skeleton64, frames, np.array([hand]), on_device(point[None])))[0]
         joints = frames.joints_world[np.array(skeleton64.tree.dof_bones)]
-        screws = np.asarray(twists.screw(joints, frames.axes_world))
+        joint_screws = np.asarray(screws.screw(joints, frames.axes_world))
     carrying = [
         d for d, b in enumerate(skeleton64.tree.dof_bones) if b in skeleton64.tree.chain("hand_l")
     ]
     assert len(carrying) == 7
     for dof in carrying:
-        v, w = screws[dof, :3], screws[dof, 3:]
+        v, w = joint_screws[dof, :3], joint_screws[dof, 3:]
         np.testing.assert_allclose(J[:, 6 + dof], np.cross(w, point) + v, atol=1e-12)
         assert abs(v @ w) < 1e-12  # no pitch
 

@@ -10,9 +10,10 @@ import pytest
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, load_skeleton
+from jaxmocap.body.surfaces.morphing import Morphing, shoulders
 from jaxmocap.pipelines.silhouettes.track import MODEL
 from jaxmocap.silhouette.smoothing import FrameInformation, PoseSmoothingSettings, smoothed_poses
-from jaxmocap.silhouette.surfaces.morph import Morphing, morph_of, shoulders, with_followers
+from jaxmocap.silhouette.surfaces.morph import morph_of, with_followers
 
 FRAMES = 40
 TIMES = np.arange(FRAMES) / 30

@@ -39,6 +39,13 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         type=positive_number,
         help="of the body, which gives the legs' length; default: as people's of such a trunk",
     )
+    parser.add_argument(
+        "--reading",
+        choices=("own", "paper"),
+        default="own",
+        help="where elbows and wrists lie and how full slices are: fitted to measured people, or "
+        "as the paper has it; default: %(default)s",
+    )
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -47,7 +54,12 @@ def _run(options: argparse.Namespace) -> None:
     photographs = {name: getattr(options, name) for name in modelling.PHOTOGRAPHS}
     folder = modelling.model_folder(options.out, [*photographs.values(), options.calibration])
     model = modelling.model_from(
-        photographs, options.calibration, options.out, options.bottom, options.height
+        photographs,
+        options.calibration,
+        options.out,
+        options.bottom,
+        options.height,
+        options.reading,
     )
     files = modelling.write_model(model, folder)
     report(options, modelling.model_text(model, files), model.figures())

@@ -25,16 +25,28 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
     _add_passes(parser)
     parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")
-    parser.add_argument(
-        "--shoulders",
-        action="store_true",
-        help="let shoulders go along with raised arms, up and back, as most people's do",
-    )
+    _add_morphing(parser)
     parser.add_argument(
         "--model",
         metavar="DIR",
         help="the person's own, as 'silhouette model' wrote it; default: a body of people's mean "
         "proportions around the recording's [subject]",
+    )
+
+
+def _add_morphing(parser: argparse.ArgumentParser) -> None:
+    morphing = parser.add_mutually_exclusive_group()
+    morphing.add_argument(
+        "--shoulders",
+        action="store_true",
+        help="let shoulders go along with raised arms, joints up and back and the skin inwards; "
+        "default: they stay on the chest",
+    )
+    morphing.add_argument(
+        "--morphing",
+        metavar="FILE.toml",
+        help="let joints and skin go along as this file has it: [[joint]] and [[swelling]] as in "
+        "the package's body/data/shoulder.toml, [[transition]] into another surface",
     )
 
 
@@ -58,16 +70,19 @@ def _add_passes(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> None:
     from jaxmocap.pipelines.kept_programs import keep_compiled
-    from jaxmocap.pipelines.silhouettes.first_pose import settings_for, start_pose
+    from jaxmocap.pipelines.silhouettes.first_pose import morphing_for, settings_for, start_pose
     from jaxmocap.pipelines.silhouettes.person import person_files, with_model
-    from jaxmocap.pipelines.silhouettes.track import track_silhouettes
+    from jaxmocap.pipelines.silhouettes.track import supple_skeleton, track_silhouettes
     from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results
     from jaxmocap.pipelines.summary import figures, summary
 
     keep_compiled()
     recording, person = with_model(recording_of(options), options.model)
     model_files = person_files(Path(options.model)) if options.model else []
-    results_folder(options.out, recording, model_files)
+    surface, body = person and person.surface, supple_skeleton(recording.skeleton)
+    morphing = morphing_for(body, surface, options.shoulders, options.morphing)
+    inputs = [*model_files, Path(options.morphing)] if options.morphing else model_files
+    results_folder(options.out, recording, inputs)
     start = start_pose(recording, options.at)
     followed = track_silhouettes(
         recording,
@@ -75,12 +90,12 @@ def _run(options: argparse.Namespace) -> None:
         passes=options.passes,
         markers=options.markers,
         lengths=options.lengths,
-        surface=person and person.surface,
-        settings=settings_for(options.at is not None, options.shoulders),
+        surface=surface,
+        settings=settings_for(options.at is not None, morphing),
         progress=True,
     )
     warnings: list[str] = []
-    where = recording, options.out, True, person, model_files, warnings.append
+    where = recording, options.out, True, person, inputs, warnings.append
     files = write_results(followed, *where)
     report(options, summary(followed.motion, files, warnings), figures(followed.motion))
 

@@ -15,10 +15,10 @@ from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.mesh import Atlas, SurfaceMesh, atlas_of, mesh_of
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.modelling.personal import PersonalModel
+from jaxmocap.modelling.pictures.views import PhotographView
 from jaxmocap.modelling.texture.fused import baked
 from jaxmocap.modelling.texture.splats import splatted
 from jaxmocap.modelling.texture.texels import SurfacePhotograph, texels_of
-from jaxmocap.modelling.views import PhotographView
 
 # A person is shown from ahead, from the left, from behind and from the right.
 DIRECTIONS_DEG = (0.0, 90.0, 180.0, 270.0)

@@ -3,11 +3,18 @@
 INPUTS: a Recording; a place; what is asked for. OUTPUTS: a Pose of the whole body; Settings.
 """
 
+from pathlib import Path
+
 import numpy as np
 
 from jaxmocap.body.model import marker_sites
 from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surfaces.loft import generic_surface
+from jaxmocap.body.surfaces.morphing import Morphing, shoulders
+from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.morphing import read_morphing
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import depth, project
 from jaxmocap.hybrid.settings import Settings as Hybrid
@@ -15,14 +22,32 @@ from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.silhouettes.track import supple_skeleton
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
 from jaxmocap.silhouette.settings import FAR_OFF, Settings
-from jaxmocap.silhouette.surfaces.morph import Morphing, shoulders
 
 
-def settings_for(by_hand: bool, go_along: bool) -> Settings:
-    """Of the tracker, where the first pose was given by hand, and shoulders go along with arms."""
+def settings_for(by_hand: bool, morphing: Morphing) -> Settings:
+    """Of the tracker: whether the first pose was given by hand; what goes along with joints."""
     # Given by hand it is rough.
-    starting = FAR_OFF if by_hand else ()
-    return Settings(starting_deviations=starting, morphing=shoulders() if go_along else Morphing())
+    return Settings(starting_deviations=FAR_OFF if by_hand else (), morphing=morphing)
+
+
+def morphing_for(
+    skeleton: Skeleton, surface: Surface | None, go_along: bool, file: str | Path | None
+) -> Morphing:
+    """What goes along with the joints of a person.
+
+    Args:
+        skeleton: of the person, with the joints that move them.
+        surface: their own; a generic one without it.
+        go_along: shoulders with raised arms.
+        file: what goes along instead, such as ``body/data/shoulder.toml``.
+
+    Raises:
+        InputError: the file cannot be used.
+    """
+    if file is None:
+        return shoulders() if go_along else Morphing()
+    worn = generic_surface(skeleton) if surface is None else surface
+    return read_morphing(file, skeleton.tree, worn.patches)
 
 
 def start_pose(recording: Recording, at: tuple[float, float, float] | None = None) -> Pose:

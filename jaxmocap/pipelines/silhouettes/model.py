@@ -29,7 +29,8 @@ from jaxmocap.modelling.pictures import drawing
 from jaxmocap.modelling.pictures.backdrop import PhotographError, person_mask
 from jaxmocap.modelling.pictures.closed_mesh import joined_meshes
 from jaxmocap.modelling.pictures.medial_axis import medial_axis
-from jaxmocap.modelling.views import PhotographView
+from jaxmocap.modelling.pictures.views import PhotographView
+from jaxmocap.modelling.readings import READINGS
 from jaxmocap.pipelines.silhouettes.person import PERSON_FILES, write_person
 
 PHOTOGRAPHS = ("front", "side", "joint", "arm_side")
@@ -47,6 +48,7 @@ class ModelResult(NamedTuple):
         images: photograph -> (H, W, 3) BGR uint8.
         views: photograph -> mask and camera.
         person: the same as the tracker wants it.
+        reading: by which, a name of ``READINGS``.
         seconds: from the files to the model.
     """
 
@@ -54,6 +56,7 @@ class ModelResult(NamedTuple):
     images: dict[str, np.ndarray]
     views: dict[str, PhotographView]
     person: PersonalModel
+    reading: str
     seconds: float
 
     def figures(self) -> dict:
@@ -66,7 +69,10 @@ class ModelResult(NamedTuple):
         lengths = {name: round(length, 4) for name, length in self.model.lengths().items()}
         around = {name: section.rounded() for name, section in girths(self.model).items()}
         seconds = round(self.seconds, 2)
-        return {"lengths": lengths, "girths": around, "joints": joints, "seconds": seconds}
+        return {
+            "reading": self.reading, "lengths": lengths, "girths": around, "joints": joints,
+            "seconds": seconds,
+        }  # fmt: skip
 
 
 def model_from(
@@ -75,6 +81,7 @@ def model_from(
     out: str | Path,
     bottom: int | None = None,
     height: float | None = None,
+    reading: str = "own",
 ) -> ModelResult:
     """Make a model of photographs.
 
@@ -84,6 +91,7 @@ def model_from(
         out: a folder, where a refused photograph's picture goes.
         bottom: row of the trunk's bottom line in the front photograph; by default found.
         height: of the body, metres, which gives the legs' length; by default guessed.
+        reading: a name of ``READINGS``.
 
     Raises:
         InputError: a photograph or the calibration cannot be used.
@@ -99,14 +107,14 @@ def model_from(
             where = _show_refused(Path(out), name, error.picture)
             raise InputError(files[name], f"{error.problem} (see {where})") from None
     try:
-        model = person_model(views, bottom)
+        model = person_model(views, bottom, READINGS[reading])
     except StanceError as error:
         raise InputError(files[error.view], error.problem) from None
     try:
         person = personal_model(model, height)
     except ValueError as error:
         raise InputError(files["front"], str(error)) from None
-    return ModelResult(model, images, views, person, perf_counter() - start)
+    return ModelResult(model, images, views, person, reading, perf_counter() - start)
 
 
 def _cameras(calibration: str | Path) -> dict[str, Camera]:

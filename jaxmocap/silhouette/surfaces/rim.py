@@ -20,6 +20,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.surfaces.morphing import Morphing
 from jaxmocap.body.surfaces.surface import (
     Skin,
     Surface,
@@ -38,7 +39,7 @@ from jaxmocap.silhouette.surfaces.index_image import (
     outer_boundary,
     subsampled,
 )
-from jaxmocap.silhouette.surfaces.morph import Morph, Morphing, morphed_skin
+from jaxmocap.silhouette.surfaces.morph import Morph, morphed_skin
 from jaxmocap.silhouette.surfaces.swelling import morph_around
 
 # Steps of a node to a neighbour that lies farther out along its normal, at most.

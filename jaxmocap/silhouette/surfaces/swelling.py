@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.body.surfaces.morphing import Driver, Morphing, Swelling, Transition
 from jaxmocap.body.surfaces.surface import (
     Patch,
     Surface,
@@ -19,14 +20,7 @@ from jaxmocap.body.surfaces.surface import (
     rest_nodes,
 )
 from jaxmocap.body.tree import Tree
-from jaxmocap.silhouette.surfaces.morph import (
-    Driver,
-    Morph,
-    Morphing,
-    Swelling,
-    Transition,
-    morph_of,
-)
+from jaxmocap.silhouette.surfaces.morph import Morph, morph_of
 
 
 @jax.jit
