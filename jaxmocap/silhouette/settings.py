@@ -24,6 +24,7 @@ class Settings:
     """How to work.
 
     Attributes:
+        body: file in ``body/data`` whose joints move the person, and whose parts are tracked.
         rim: sizes; its canvases are the level sets' too, so that its margin holds a step's error.
         match: what makes a pair of rim and contour.
         level_set: of the segmentation, traced.
@@ -69,6 +70,7 @@ class Settings:
         settling_steps: times that the first frame is tracked before the second.
     """
 
+    body: str = "supple.toml"
     rim: RimSettings = field(default_factory=lambda: RimSettings(margin=0.1))
     match: MatchSettings = field(default_factory=MatchSettings)
     level_set: segment.LevelSetSettings = field(default_factory=segment.LevelSetSettings)

@@ -26,8 +26,9 @@ import numpy as np
 from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface
+from jaxmocap.body.surfaces.parts import surface_of_body
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.geometry.cameras import Camera, stack_cameras
@@ -83,10 +84,10 @@ class SilhouetteTracker:
         """Prepare a tracker.
 
         Args:
-            skeleton: of the person, moved by the joints of ``supple.toml`` or of another model.
+            skeleton: of the person; moved by the joints of ``settings.body``.
             cameras: one or several.
             settings: defaults to ``Settings()``.
-            surface: of the person; a generic one of the skeleton's proportions without it.
+            surface: of the whole person; a generic one of the skeleton's proportions without it.
             sites: of markers that are to be followed too.
             plan: of the segmentation; defaults to ``SegmentationPlan()``.
         """
@@ -94,7 +95,9 @@ class SilhouetteTracker:
         dtype = skeleton.lengths.dtype
         stacked = jax.tree.map(lambda part: jnp.asarray(part, dtype), stack_cameras(listed))
         s = settings or Settings()
-        skin = generic_surface(skeleton) if surface is None else surface
+        skeleton = with_joints(skeleton, s.body)
+        whole = generic_surface(skeleton) if surface is None else surface
+        skin = surface_of_body(whole, skeleton, s.body)
         finder = RimFinder(skeleton, skin, s.rim, s.morphing)
         self.constants = TrackerConstants(
             stacked, s, finder, s.rest * np.asarray(skeleton.rest_deviations, float),

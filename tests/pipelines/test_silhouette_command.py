@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from test_point_rays import ring
 
+from jaxmocap.body.skeleton import with_joints
 from jaxmocap.cli import main
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.errors import InputError
@@ -95,8 +96,32 @@ def test_lengths_are_found_by_more_than_one_pass(folder, tmp_path, capsys):
     )
 
 
-@pytest.mark.parametrize(("given", "followers"), [((), False), (("--shoulders",), True)])
-def test_shoulders_go_along_where_asked_to(folder, tmp_path, monkeypatch, given, followers):
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (
+            ("--model-file", "arms"),
+            "invalid choice: 'arms' (choose from 'torso', 'legs', 'whole', ",
+        ),
+        (("--model-file", "legs", "--shoulders"), "--shoulders: legs.toml has no joints of the "),
+    ],
+)
+def test_a_body_that_there_is_not_or_without_shoulders_is_refused(
+    folder, tmp_path, capsys, given, expected
+):
+    asked = [folder / "recording.toml", "--at", "0,0,0", "--out", tmp_path, *given]
+    assert expected in message_of(capsys, "track", *asked)
+
+
+@pytest.mark.parametrize(
+    ("given", "followers", "body"),
+    [
+        ((), False, "supple.toml"),
+        (("--shoulders",), True, "supple.toml"),
+        (("--model-file", "torso"), False, "torso.toml"),
+    ],
+)
+def test_settings_are_those_asked_for(folder, tmp_path, monkeypatch, given, followers, body):
     asked = {}
 
     def follow(*_, settings, **__):
@@ -108,6 +133,7 @@ def test_shoulders_go_along_where_asked_to(folder, tmp_path, monkeypatch, given,
     out = str(tmp_path / "out")
     assert main(["silhouette", "track", path, "--at", "0,0,0", "--out", out, *given]) == 2
     assert bool(asked["settings"].morphing.followers) == followers
+    assert asked["settings"].body == body
     # Who says by hand where somebody stands says it roughly.
     assert asked["settings"].starting_deviations
 
@@ -131,7 +157,7 @@ def test_nothing_is_written_into_a_file(folder, tmp_path, capsys):
 
 def test_a_recording_that_shows_nobody_is_refused(folder):
     recording, progress = Recording.load(folder / "recording.toml"), []
-    start = standing_pose_at(track.supple_skeleton(recording.skeleton), 0.0, 0.0, 0.0)
+    start = standing_pose_at(with_joints(recording.skeleton, Settings.body), 0.0, 0.0, 0.0)
     settings = Settings(least_matched_share=2.0, settling_steps=0, particles=1)
     with pytest.raises(InputError, match="no camera shows the person in any frame"):
         track.track_silhouettes(

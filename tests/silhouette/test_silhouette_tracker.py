@@ -25,7 +25,9 @@ from jaxmocap.silhouette.surfaces.rim import RimSettings
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
-SMALL = Settings(rim=RimSettings(size=128, outer=128, inner=32, spacing=0.012, margin=0.1))
+SMALL = Settings(
+    body="whole.toml", rim=RimSettings(size=128, outer=128, inner=32, spacing=0.012, margin=0.1)
+)
 # Plain walls need few steps, which compile sooner.
 PLAIN = SegmentationPlan(background=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
 PERSON, WALL = (40, 60, 150), (190, 180, 170)

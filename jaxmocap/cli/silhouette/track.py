@@ -10,6 +10,7 @@ from jaxmocap.cli.command import Command
 from jaxmocap.cli.option_types import place_and_facing
 from jaxmocap.cli.recording_options import add_cameras, recording_of
 from jaxmocap.cli.reporting import report
+from jaxmocap.cli.silhouette.settings_options import add_settings, settings_of
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
@@ -25,11 +26,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
     _add_passes(parser)
     parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")
-    parser.add_argument(
-        "--shoulders",
-        action="store_true",
-        help="let shoulders go along with raised arms, up and back, as most people's do",
-    )
+    add_settings(parser)
     parser.add_argument(
         "--model",
         metavar="DIR",
@@ -58,7 +55,7 @@ def _add_passes(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> None:
     from jaxmocap.pipelines.kept_programs import keep_compiled
-    from jaxmocap.pipelines.silhouettes.first_pose import settings_for, start_pose
+    from jaxmocap.pipelines.silhouettes.first_pose import start_pose
     from jaxmocap.pipelines.silhouettes.person import person_files, with_model
     from jaxmocap.pipelines.silhouettes.track import track_silhouettes
     from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results
@@ -68,7 +65,8 @@ def _run(options: argparse.Namespace) -> None:
     recording, person = with_model(recording_of(options), options.model)
     model_files = person_files(Path(options.model)) if options.model else []
     results_folder(options.out, recording, model_files)
-    start = start_pose(recording, options.at)
+    settings = settings_of(options, by_hand=options.at is not None)
+    start = start_pose(recording, options.at, settings.body)
     followed = track_silhouettes(
         recording,
         start,
@@ -76,7 +74,7 @@ def _run(options: argparse.Namespace) -> None:
         markers=options.markers,
         lengths=options.lengths,
         surface=person and person.surface,
-        settings=settings_for(options.at is not None, options.shoulders),
+        settings=settings,
         progress=True,
     )
     warnings: list[str] = []
