@@ -47,7 +47,7 @@ from jaxmocap.silhouette.recovery.lost_limbs import LimbRecovery
 from jaxmocap.silhouette.recovery.relocation import RecoveredPose, recover_limbs
 from jaxmocap.silhouette.recovery.withdrawal import remembered, slim, withdrawn
 from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
-from jaxmocap.silhouette.segmentation.segment import Histograms, SegmentationPlan
+from jaxmocap.silhouette.segmentation.segment import Histograms
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.state import (
     PoseEstimate,
@@ -79,7 +79,6 @@ class SilhouetteTracker:
         settings: Settings | None = None,
         surface: Surface | None = None,
         sites: Sites | None = None,
-        plan: SegmentationPlan | None = None,
     ):
         """Prepare a tracker.
 
@@ -89,7 +88,6 @@ class SilhouetteTracker:
             settings: defaults to ``Settings()``.
             surface: of the whole person; a generic one of the skeleton's proportions without it.
             sites: of markers that are to be followed too.
-            plan: of the segmentation; defaults to ``SegmentationPlan()``.
         """
         listed = [cameras] if isinstance(cameras, Camera) else list(cameras)
         dtype = skeleton.lengths.dtype
@@ -101,7 +99,7 @@ class SilhouetteTracker:
         finder = RimFinder(skeleton, skin, s.rim, s.morphing)
         self.constants = TrackerConstants(
             stacked, s, finder, s.rest * np.asarray(skeleton.rest_deviations, float),
-            carriers(finder.initial_shape.surface.points), plan or SegmentationPlan(),
+            carriers(finder.initial_shape.surface.points),
         )  # fmt: skip
         self._sites = Sites.none(dtype) if sites is None else sites
         self.body = self._body(finder.initial_shape)
@@ -138,7 +136,7 @@ class SilhouetteTracker:
         body = self.body if body is None else body
         width, count = body.shape.skeleton.costs.shape, len(self.constants.cameras.size)
         models = (None,) * count if backgrounds is None else tuple(backgrounds)
-        histograms = Histograms.empty(count, self.constants.plan)
+        histograms = Histograms.empty(count, self.constants.settings.plan)
         history, limbs = ImageHistory.empty(count), body.recovery.empty_memory()
         still, determined = np.zeros(width, np.float32), np.ones(width, bool)
         return State(pose, still, None, histograms, determined, history, limbs, body, models)

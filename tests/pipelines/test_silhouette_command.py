@@ -135,7 +135,7 @@ def test_settings_are_those_asked_for(folder, tmp_path, monkeypatch, given, foll
     assert bool(asked["settings"].morphing.followers) == followers
     assert asked["settings"].body == body
     # Who says by hand where somebody stands says it roughly.
-    assert asked["settings"].starting_deviations
+    assert asked["settings"].starting_cycles
 
 
 def test_a_place_at_which_no_camera_looks_is_refused_before_anything_is_tracked(

@@ -25,18 +25,20 @@ from jaxmocap.silhouette.surfaces.rim import RimSettings
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
-SMALL = Settings(
-    body="whole.toml", rim=RimSettings(size=128, outer=128, inner=32, spacing=0.012, margin=0.1)
-)
 # Plain walls need few steps, which compile sooner.
 PLAIN = SegmentationPlan(background=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
+SMALL = Settings(
+    body="whole.toml",
+    rim=RimSettings(size=128, outer=128, inner=32, spacing=0.012, margin=0.1),
+    plan=PLAIN,
+)
 PERSON, WALL = (40, 60, 150), (190, 180, 170)
 POINTS = landmark_points
 
 
 @pytest.fixture(scope="module")
 def tracker() -> SilhouetteTracker:
-    return SilhouetteTracker(BODY, ring(4), SMALL, plan=PLAIN)
+    return SilhouetteTracker(BODY, ring(4), SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +113,7 @@ def test_starts_far_off_are_found_coarse_to_fine_and_not_by_the_full_surface_alo
         start = retract(truth, jnp.asarray(step, jnp.float32))
         assert off_by(start, truth).mean() > 0.15
         for starting, actual in left.items():
-            with_settings(tracker, replace(SMALL, starting_deviations=starting))
+            with_settings(tracker, replace(SMALL, starting_cycles=starting))
             state = tracker.init(start)
             for _ in range(3):
                 state, pose, _ = tracker.step(state, 0.0, images)

@@ -208,7 +208,8 @@ def low_pass(surface: Surface, joints: np.ndarray, harmonics: int, along: int) -
     for patch in surface.patches:
         grid = patch.grid(nodes)
         across = fourier_matrix(patch.around, np.arange(patch.around), harmonics)
-        smooth = np.einsum("av,vuc,bu->abc", cosine_matrix(patch.along, along), grid, across)
+        onto = cosine_matrix(patch.along, along)
+        smooth = np.einsum("av,vuc,bu->abc", onto, grid, across, optimize=True)
         nodes[patch.nodes] = smooth.reshape(-1, 3)
     places = jnp.asarray(nodes[:, None] - joints[bones], float)
     return replace(surface, points=surface.points._replace(points_bone=places))

@@ -3,6 +3,8 @@
 INPUTS: a Recording; a place; what is asked for. OUTPUTS: a Pose of the whole body; Settings.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from jaxmocap.body.model import marker_sites
@@ -15,12 +17,28 @@ from jaxmocap.geometry.cameras import depth, project
 from jaxmocap.hybrid.settings import Settings as Hybrid
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
-from jaxmocap.silhouette.settings import FAR_OFF, Settings
+from jaxmocap.silhouette.settings import FAR_OFF, GREY, Settings, progressive
 from jaxmocap.silhouette.surfaces.morph import Morphing, shoulders
 
 
-def settings_for(body: str, by_hand: bool, go_along: bool) -> Settings:
-    """Of the tracker, where the first pose was given by hand, and shoulders go along with arms.
+def settings_for(
+    body: str,
+    by_hand: bool,
+    go_along: bool,
+    *,
+    grey: bool = False,
+    frequencies: int = 0,
+    settle: int = 0,
+) -> Settings:
+    """Of the tracker.
+
+    Args:
+        body: file in ``body/data``.
+        by_hand: whether the first pose was given so, and is rough.
+        go_along: whether shoulders go along with arms.
+        grey: whether grey levels segment, rather than colours.
+        frequencies: low-passes of the surface that every frame matches first.
+        settle: rounds of segmentation and pose after that, at most.
 
     Raises:
         InputError: the body's shoulders cannot go along.
@@ -30,9 +48,16 @@ def settings_for(body: str, by_hand: bool, go_along: bool) -> Settings:
     if any(follower.joint not in joints for follower in morphing.followers):
         raise InputError("--shoulders", f"{body} has no joints of the clavicles, expected a body "
                          "that has, torso, whole or supple")  # fmt: skip
-    # Given by hand it is rough.
-    starting = FAR_OFF if by_hand else ()
-    return Settings(body=body, starting_deviations=starting, morphing=morphing)
+    usual = Settings()
+    return replace(
+        usual,
+        body=body,
+        morphing=morphing,
+        cycles=progressive(usual.cycles, frequencies, len(usual.rim.levels)),
+        starting_cycles=FAR_OFF if by_hand else (),
+        settling=usual.settling._replace(rounds=settle),
+        plan=GREY if grey else usual.plan,
+    )
 
 
 def start_pose(
