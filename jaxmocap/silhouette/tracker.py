@@ -4,8 +4,9 @@
     rim        of the surface at that pose, as each camera sees it (3.1.5)
     segment    level sets from the predicted silhouettes, their contours (4.1)
     fit        rim -> contour, twist equations of all cameras in one system (3.2); again with the
-               rim of the estimated pose, and a smaller deviation for outliers; in the first
-               frame begun with the surface's low-pass, coarse to fine
+               rim of the estimated pose, and a smaller deviation for outliers; begun with the
+               surface's low-pass, coarse to fine, in the first frame or in all; and segmented
+               and fitted again until both settle, where that is asked for
     recover    a limb that explains more where an earlier pass found it is fitted from there; where
                no limb explains a visible person, or a limb explains nothing, a particle filter
                proposes poses and the best is fitted; parts of another colour than before are hidden

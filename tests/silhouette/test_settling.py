@@ -30,7 +30,7 @@ def test_contours_are_apart_by_what_they_moved_across_however_they_were_sampled(
 
 def test_a_round_has_settled_where_neither_pose_nor_contour_moved():
     pose, settings = relaxed_pose(BODY), SettlingSettings()
-    turned = pose._replace(angles=pose.angles.at[BODY.tree.joint("elbow_flex_l")].add(0.02))
+    turned = pose._replace(angles=pose.angles.at[BODY.tree.joint("elbow_flex_l")].add(0.1))
     near, far = [circle(50.0, 400)], [circle(51.0, 400)]
     assert has_settled(BODY, (pose, pose), (near, near), settings)
     assert not has_settled(BODY, (pose, turned), (near, near), settings)

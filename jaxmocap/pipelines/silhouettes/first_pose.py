@@ -46,8 +46,8 @@ def settings_for(
     morphing = shoulders() if go_along else Morphing()
     joints = {row["name"] for row in read_model(body).joints}
     if any(follower.joint not in joints for follower in morphing.followers):
-        raise InputError("--shoulders", f"{body} has no joints of the clavicles, expected a body "
-                         "that has, torso, whole or supple")  # fmt: skip
+        problem = f"{body} has no joints of the clavicles, expected torso, whole or supple"
+        raise InputError("--shoulders", problem)
     usual = Settings()
     return replace(
         usual,

@@ -23,7 +23,8 @@ class SettlingSettings(NamedTuple):
 
     Attributes:
         rounds: of a segmentation and a solve after a frame's cycles, at most; 0 for none.
-        pose_m: a pose has settled where no landmark moves farther in a round, metres.
+        pose_m: a pose has settled where its landmarks move no farther in a round, on average,
+            metres. What outlines hardly determine, as a hand's turn, moves on by more.
         contour_px: contours have settled where their points lie no farther across those of the
             round before, on average, pixels.
     """
@@ -41,7 +42,7 @@ def has_settled(
 ) -> bool:
     """Whether poses and cameras' contours of a round are those of the round before."""
     here, there = (np.asarray(landmark_points(skeleton, pose)) for pose in poses)
-    if np.linalg.norm(there - here, axis=1).max() > settings.pose_m:
+    if np.linalg.norm(there - here, axis=1).mean() > settings.pose_m:
         return False
     return contours_apart(*contours) <= settings.contour_px
 
