@@ -25,6 +25,7 @@ from bench.acceleration import AccelerationAndLag, compare_tracks
 from bench.clips import REAL_LANDMARKS, Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, stage_metrics, table, write_json
+from bench.silhouette_faults import in_memory
 from bench.stages import STAGES, WHOLE_FRAME, stages_timed
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, with_joints
@@ -34,7 +35,7 @@ from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.cli.silhouette.settings_options import add_settings, settings_of
 from jaxmocap.evaluation.errors import Errors, position_errors
 from jaxmocap.evaluation.series import match
-from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import progress_bar
@@ -86,19 +87,32 @@ class Result:
         return float(np.sqrt(np.nanmean(self.calm.track**2) / np.nanmean(self.calm.reference**2)))
 
 
-def track_exercise(clip: Clip, cameras: int, settings: Settings) -> Result:
-    """A rendered recording by the first of its cameras, bones and first pose from the truth."""
+def track_exercise(clip: Clip, cameras: int, settings: Settings, every: int = 1) -> Result:
+    """A rendered recording by the first of its cameras, bones and first pose from the truth.
+
+    Of its frames one in ``every`` is kept.
+    """
     truth = read_trc(clip.truth).points()
     recording = Recording.load(clip.path)
     recording = replace(
         recording,
         skeleton=scale_to_landmarks(recording.skeleton, truth),
-        videos=recording.videos[:cameras],
+        videos=tuple(thinned(video, every) for video in recording.videos[:cameras]),
     )
     missing = np.full(3, np.nan)
     first = np.array([truth[name][0] if name in truth else missing for name in LANDMARKS])
     start = pose_at_landmarks(with_joints(recording.skeleton, settings.body), first)
     return evaluated(clip, recording, start, settings)
+
+
+def thinned(video: VideoSource, every: int) -> VideoSource:
+    """A video of one frame in so many, in memory; of all of them as it is."""
+    if every == 1:
+        return video
+    held = in_memory(video)
+    assert held.frames is not None
+    times, images = held.frames
+    return replace(held, frames=(times[::every], images[::every]))
 
 
 def track_real(clip: Clip, settings: Settings) -> Result:
@@ -260,6 +274,7 @@ def parser() -> argparse.ArgumentParser:
         help=f"of {', '.join(choices)}",
     )
     add("--cameras", type=counts, default=counts("4,3,2,1"), metavar="4,3,...", help="how many")
+    add("--every", type=int, default=1, metavar="N", help="keep one rendered frame in N")
     add_rendered(result)
     add_settings(result)
     return result
@@ -290,7 +305,7 @@ def measured(options: argparse.Namespace, keep: Path) -> tuple[list[Result], lis
         with stages_timed() as clock:
             for clip in clips:
                 print(f"tracking {clip.name} by {number}", file=sys.stderr, flush=True)
-                results.append(track_exercise(clip, number, settings))
+                results.append(track_exercise(clip, number, settings, options.every))
         timed += speed(f"{number} cameras" if number > 1 else "1 camera", clock.frames)
     if REAL in options.only and options.recordings:
         path = Path(options.recordings) / REAL / "recording_all_cameras.toml"
