@@ -20,13 +20,12 @@ from bench.clips import Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, write_json
 from bench.silhouette import Result, evaluated
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARKS, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.morphing import Morphing, shoulders
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
-from jaxmocap.pipelines.silhouettes.track import supple_skeleton
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
@@ -54,7 +53,7 @@ def tracked(clip: Clip, morphing: Morphing) -> Result:
     skeleton = scale_to_landmarks(recording.skeleton, standing)
     missing = np.full((1, 3), np.nan)
     first = np.concatenate([standing.get(name, missing) for name in LANDMARKS])
-    start = pose_at_landmarks(supple_skeleton(skeleton), first)
+    start = pose_at_landmarks(with_joints(skeleton, Settings.body), first)
     settings = Settings(morphing=morphing)
     return evaluated(clip, replace(recording, skeleton=skeleton), start, settings)
 

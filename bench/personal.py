@@ -28,7 +28,7 @@ from bench.clips import Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, write_json
 from bench.silhouette import KINDS, Result, evaluated
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.formats.recordings.recording import Recording
@@ -36,8 +36,8 @@ from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, model_from
-from jaxmocap.pipelines.silhouettes.track import supple_skeleton
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
+from jaxmocap.silhouette.settings import Settings
 from jaxmocap.synthetic.movements.exercises import EXERCISES
 from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig
 from jaxmocap.synthetic.photographs import rest_height, write_photographs
@@ -79,7 +79,7 @@ def tracked(clip: Clip, rig: Rig, person: PersonalModel, bodies: Sequence[str]) 
     for name in bodies:
         print(f"tracking {clip.name} by {name}", file=sys.stderr, flush=True)
         skeleton, surface = built(name, recording, rig, truth, person)
-        start = pose_at_landmarks(supple_skeleton(skeleton), points)
+        start = pose_at_landmarks(with_joints(skeleton, Settings.body), points)
         results[name] = evaluated(
             clip, replace(recording, skeleton=skeleton), start, surface=surface
         )

@@ -18,13 +18,13 @@ from scipy.spatial import KDTree
 from bench.command_line import command
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.body.kinematics import forward
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.morphing import shoulders
 from jaxmocap.body.surfaces.surface import posed, rest_nodes
-from jaxmocap.pipelines.silhouettes.track import supple_skeleton
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
+from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.surfaces.morph import driver_values, moved_points
 from jaxmocap.silhouette.surfaces.swelling import grid_normals, morph_around, patch_coordinates
 from jaxmocap.synthetic.movements.exercises import exercise
@@ -66,7 +66,7 @@ def errors(people: Path, who: str, seed: int) -> tuple[float, float]:
     times = np.linspace(0, SECONDS, FRAMES)
     vertices, landmarks = performer.vertices(times), performer.landmarks(times)
     standing = {name: path[:1] for name, path in landmarks.items()}
-    skeleton = supple_skeleton(scale_to_landmarks(Skeleton.human(), standing))
+    skeleton = with_joints(scale_to_landmarks(Skeleton.human(), standing), Settings.body)
     surface, joints = generic_surface(skeleton), rest_joints(skeleton)
     patch = next(each for each in surface.patches if each.name == "torso")
     along = patch_coordinates(patch, patch.grid(rest_nodes(surface, joints)))[:, 1]

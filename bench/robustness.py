@@ -21,13 +21,13 @@ from bench.command_line import command
 from bench.metrics import Metric, aligned, write_json
 from bench.silhouette_faults import FAULTS, Faulty, Span, Truth, in_memory
 from jaxmocap.body.motion import Motion
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARKS, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.cli.recording_options import select_cameras
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
-from jaxmocap.pipelines.silhouettes.track import supple_skeleton, track_silhouettes
+from jaxmocap.pipelines.silhouettes.track import track_silhouettes
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
 
@@ -130,7 +130,9 @@ def tracked(recording: Recording, truth: Truth, settings: Settings) -> Motion:
     """The motion that silhouettes tell, from the true place of the first frame."""
     first = np.array([truth[n][0] if n in truth else np.full(3, np.nan) for n in LANDMARKS])
     return track_silhouettes(
-        recording, pose_at_landmarks(supple_skeleton(recording.skeleton), first), settings
+        recording,
+        pose_at_landmarks(with_joints(recording.skeleton, settings.body), first),
+        settings,
     ).motion
 
 

@@ -160,7 +160,7 @@ def looked(
     look: Look, plan: SegmentationPlan, rooms: Sequence[Background | None]
 ) -> tuple[np.ndarray, Region]:
     """Φ (C, S, S) and where the canvases are, by one look of the tracker."""
-    settings = Settings()
+    settings = Settings(plan=plan)
     size, none = settings.rim.size, np.zeros(0)
     views = [region_about_mask(start, size) for start in look.starts]
     masks = [
@@ -169,7 +169,7 @@ def looked(
     region = Region(*(np.stack(parts) for parts in zip(*views, strict=True)))
     rim = Rim(none, none, none, none, none, np.stack(masks).astype(np.uint8), region)
     before = Histograms.empty(len(views), plan)
-    outlines = find_outlines(look.images, rooms, rim, before, settings, plan)
+    outlines = find_outlines(look.images, rooms, rim, before, settings)
     return np.asarray(outlines.segmentation.phi), region
 
 

@@ -1,5 +1,7 @@
 """``python -m bench.silhouette [RECORDINGS]``: how well and how fast the silhouette tracker is.
 
+With the options of ``silhouette track`` for its settings: which body, for example.
+
 Rendered exercises by four, three, two cameras and one: how far elbows and knees are bent, against
 the truth, where the joints are, and how much they shake. The real recording by all its cameras.
 And what a frame takes, stage by stage. Bones have the lengths of the truth's landmarks; the first
@@ -23,23 +25,26 @@ from bench.acceleration import AccelerationAndLag, compare_tracks
 from bench.clips import REAL_LANDMARKS, Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, stage_metrics, table, write_json
+from bench.silhouette_faults import in_memory
 from bench.stages import STAGES, WHOLE_FRAME, stages_timed
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARKS, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
+from jaxmocap.body.surfaces.parts import determined_landmarks
 from jaxmocap.body.surfaces.surface import Surface
+from jaxmocap.cli.silhouette.settings_options import add_settings, settings_of
 from jaxmocap.evaluation.errors import Errors, position_errors
 from jaxmocap.evaluation.series import match
-from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.pipelines.silhouettes.demo import JOINTS, performer_of
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
-from jaxmocap.pipelines.silhouettes.track import supple_skeleton, track_silhouettes
+from jaxmocap.pipelines.silhouettes.track import track_silhouettes
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.synthetic.four_cameras import flexion_angles, write_four_cameras
+from jaxmocap.synthetic.four_cameras import HINGES, flexion_angles, write_four_cameras
 from jaxmocap.synthetic.movements.exercises import EXERCISES
 
 KINDS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -67,39 +72,53 @@ class Result:
     calm: AccelerationAndLag
 
     def angle(self, kind: str) -> float:
-        """Mean error of both elbows or both knees, degrees."""
+        """Mean error of both elbows or both knees, degrees; NaN where the body has none."""
         both = [off for hinge, off in self.bends_off.items() if hinge.startswith(kind)]
-        return float(np.degrees(np.nanmean(both)))
+        return float(np.degrees(np.nanmean(both))) if both else float("nan")
 
     def place(self, *kinds: str) -> float:
-        """Mean error over joints of such kinds, left and right, centimetres."""
+        """Mean error over joints of such kinds, left and right, centimetres; NaN without any."""
         of_kind = [name.split("_")[0] in kinds for name in self.errors.joints]
-        return float(100 * self.errors.statistics()["mean"][of_kind].mean())
+        means = self.errors.statistics()["mean"][of_kind]
+        return float(100 * means.mean()) if len(means) else float("nan")
 
     def shaking(self) -> float:
         """Root mean square acceleration of all joints, by the truth's."""
         return float(np.sqrt(np.nanmean(self.calm.track**2) / np.nanmean(self.calm.reference**2)))
 
 
-def track_exercise(clip: Clip, cameras: int) -> Result:
-    """A rendered recording by the first of its cameras, bones and first pose from the truth."""
+def track_exercise(clip: Clip, cameras: int, settings: Settings, every: int = 1) -> Result:
+    """A rendered recording by the first of its cameras, bones and first pose from the truth.
+
+    Of its frames one in ``every`` is kept.
+    """
     truth = read_trc(clip.truth).points()
     recording = Recording.load(clip.path)
     recording = replace(
         recording,
         skeleton=scale_to_landmarks(recording.skeleton, truth),
-        videos=recording.videos[:cameras],
+        videos=tuple(thinned(video, every) for video in recording.videos[:cameras]),
     )
     missing = np.full(3, np.nan)
     first = np.array([truth[name][0] if name in truth else missing for name in LANDMARKS])
-    start = pose_at_landmarks(supple_skeleton(recording.skeleton), first)
-    return evaluated(clip, recording, start)
+    start = pose_at_landmarks(with_joints(recording.skeleton, settings.body), first)
+    return evaluated(clip, recording, start, settings)
 
 
-def track_real(clip: Clip) -> Result:
+def thinned(video: VideoSource, every: int) -> VideoSource:
+    """A video of one frame in so many, in memory; of all of them as it is."""
+    if every == 1:
+        return video
+    held = in_memory(video)
+    assert held.frames is not None
+    times, images = held.frames
+    return replace(held, frames=(times[::every], images[::every]))
+
+
+def track_real(clip: Clip, settings: Settings) -> Result:
     """The real recording by all its cameras, begun where the markers say."""
     recording = Recording.load(clip.path)
-    return evaluated(clip, recording, start_pose(recording))
+    return evaluated(clip, recording, start_pose(recording, body=settings.body), settings)
 
 
 def evaluated(
@@ -109,16 +128,22 @@ def evaluated(
     settings: Settings | None = None,
     surface: Surface | None = None,
 ) -> Result:
-    """Track, with a surface of the person where there is one, and compare with the truth."""
+    """Track, with a surface of the person where there is one, and compare with the truth.
+
+    Joints that the body does not move are left out.
+    """
     motion = track_silhouettes(recording, start, settings, surface=surface, progress=True).motion
     truth, joints = read_trc(clip.truth), motion.joints()
+    moved = determined_landmarks(motion.skeleton.tree)
+    tracked = [name for name in JOINTS if moved[LANDMARKS.index(name)]]
     points = {mark: truth.points()[name] for mark, name in clip.landmarks.items() if mark in JOINTS}
-    pairs = {name: name for name in JOINTS}
+    pairs = {name: name for name in tracked}
     errors = position_errors(motion.times, joints, truth.times, points, pairs)
     ours, theirs = match(motion.times, truth.times)
     actual, expected = flexion_angles(joints), flexion_angles(points)
-    off = {hinge: np.abs(actual[hinge][ours] - expected[hinge][theirs]) for hinge in actual}
-    places = [np.stack([each[name] for name in JOINTS], 1) for each in (joints, points)]
+    hinges = [hinge for hinge, ends in HINGES.items() if {hinge, *ends} <= set(tracked)]
+    off = {hinge: np.abs(actual[hinge][ours] - expected[hinge][theirs]) for hinge in hinges}
+    places = [np.stack([each[name] for name in tracked], 1) for each in (joints, points)]
     calm = compare_tracks(motion.times, places[0], truth.times, places[1])
     return Result(clip.name, len(recording.videos), errors, off, calm)
 
@@ -130,8 +155,13 @@ def exercise_rows(results: Sequence[Result]) -> list[list[str]]:
     rows.append(["", "deg", "deg", "cm", *("cm" for _ in KINDS), "truth's"])
     figures = np.array([_figures(result) for result in results])
     for name, row in zip([r.name for r in results], figures, strict=True):
-        rows.append([name, *(f"{value:.1f}" for value in row)])
-    return [*rows, ["mean", *(f"{value:.1f}" for value in figures.mean(0))]]
+        rows.append([name, *map(_cell, row)])
+    return [*rows, ["mean", *map(_cell, figures.mean(0))]]
+
+
+def _cell(value: float) -> str:
+    """A figure; a dash where the body has no such joints."""
+    return "-" if np.isnan(value) else f"{value:.1f}"
 
 
 def _figures(result: Result) -> list[float]:
@@ -151,7 +181,7 @@ def camera_rows(results: Sequence[Result]) -> list[list[str]]:
     )
     figures = np.array(
         [
-            [(r.angle("elbow") + r.angle("knee")) / 2 for r in (by[name, n] for n in counts)]
+            [np.nanmean([r.angle("elbow"), r.angle("knee")]) for r in (by[name, n] for n in counts)]
             + [by[name, n].place(*KINDS) for n in counts]
             for name in names
         ]
@@ -178,6 +208,8 @@ def metrics(result: Result) -> Iterator[Metric]:
         yield Metric(f"{name}, all four kinds", result.place(*REAL_KINDS), "cm", tolerance=0.05)
     yield Metric(f"{name}, acceleration", result.shaking(), "truth's", tolerance=0.1)
     for kind in ("elbow", "knee"):
+        if np.isnan(result.angle(kind)):
+            continue
         yield Metric(f"{name}, {kind}s bent", result.angle(kind), "deg", tolerance=0.1)
 
 
@@ -242,7 +274,9 @@ def parser() -> argparse.ArgumentParser:
         help=f"of {', '.join(choices)}",
     )
     add("--cameras", type=counts, default=counts("4,3,2,1"), metavar="4,3,...", help="how many")
+    add("--every", type=int, default=1, metavar="N", help="keep one rendered frame in N")
     add_rendered(result)
+    add_settings(result)
     return result
 
 
@@ -266,17 +300,17 @@ def measured(options: argparse.Namespace, keep: Path) -> tuple[list[Result], lis
     """Everything that was asked for, and what a frame took by each number of cameras."""
     results: list[Result] = []
     timed: list[Metric] = []
-    clips = chosen(options, keep)
+    clips, settings = chosen(options, keep), settings_of(options)
     for number in options.cameras if clips else ():
         with stages_timed() as clock:
             for clip in clips:
                 print(f"tracking {clip.name} by {number}", file=sys.stderr, flush=True)
-                results.append(track_exercise(clip, number))
+                results.append(track_exercise(clip, number, settings, options.every))
         timed += speed(f"{number} cameras" if number > 1 else "1 camera", clock.frames)
     if REAL in options.only and options.recordings:
         path = Path(options.recordings) / REAL / "recording_all_cameras.toml"
         with stages_timed() as clock:
-            results.append(track_real(Clip(REAL, REAL, path, REAL_LANDMARKS)))
+            results.append(track_real(Clip(REAL, REAL, path, REAL_LANDMARKS), settings))
         timed += speed("real, 4 cameras", clock.frames)
     return results, timed
 

@@ -57,6 +57,11 @@ def landmark_rows_of(name: str | Path) -> list[dict]:
     return _data(name)["landmark"]
 
 
+def surface_rows_of(name: str | Path) -> list[dict]:
+    """The patches of the surface that a body has, and how far up; none where it has them all."""
+    return _data(name).get("surface", [])
+
+
 @cache
 def bodies() -> tuple[str, ...]:
     """Names of the files in ``body/data`` that are bodies."""

@@ -12,6 +12,7 @@ from jax import Array
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.surfaces.parts import determined_landmarks
 
 # Deviation of a landmark, metres.
 LANDMARK_DEVIATION_M = 0.02
@@ -28,12 +29,14 @@ def pose_at_landmarks(skeleton: Skeleton, points_world: np.ndarray) -> Pose:
     Args:
         skeleton: of the person.
         points_world: (L, 3) metres, in the order of ``LANDMARKS``; NaN where unknown. Both hips
-            or both shoulders must be given, they determine where the person faces.
+            or both shoulders must be given, they determine where the person faces. Those that the
+            skeleton's joints do not move are ignored.
 
     Raises:
         ValueError: neither is.
     """
-    points = np.asarray(points_world, float)
+    determined = determined_landmarks(skeleton.tree)[:, None]
+    points = np.where(determined, np.asarray(points_world, float), np.nan)
     start = _placed(skeleton, points)
     return _fitted(skeleton, start, jnp.asarray(points, skeleton.lengths.dtype))
 

@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from jaxmocap.body.pose import Pose
+from jaxmocap.body.surfaces.parts import determined_landmarks
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.device_functions import landmark_jacobian
@@ -115,10 +116,15 @@ class PassResult:
         return smoothed_poses(skeleton, np.array(self.times), information, rest, how, morph)
 
     def landmark_deviations(self, constants: TrackerConstants) -> np.ndarray:
-        """(F, L, 3) standard deviations of the landmarks, metres, by what the pairs determine."""
+        """(F, L, 3) standard deviations of the landmarks, metres, by what the pairs determine.
+
+        NaN of those that the body does not move.
+        """
         every = zip(self.estimates, self.reports, strict=True)
         unknown = constants.settings.unknown_deviation
-        return np.stack([self._landmarks(each.pose, report, unknown) for each, report in every])
+        result = np.stack([self._landmarks(each.pose, report, unknown) for each, report in every])
+        result[:, ~determined_landmarks(self.body.shape.skeleton.tree)] = np.nan
+        return result
 
     def _landmarks(self, pose: Pose, report: StepReport, unknown: float) -> np.ndarray:
         """(L, 3) metres, of one frame."""

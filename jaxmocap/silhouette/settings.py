@@ -4,19 +4,62 @@ INPUTS: nothing. OUTPUTS: Settings, whose defaults were chosen on rendered exerc
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from jaxmocap.body.surfaces.morphing import Morphing
 from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.terms import Term
 from jaxmocap.silhouette.fit.correspond import MatchSettings
+from jaxmocap.silhouette.fit.settling import SettlingSettings
 from jaxmocap.silhouette.recovery.settings import LimbSearchSettings, RecoverySettings
 from jaxmocap.silhouette.segmentation import segment
 from jaxmocap.silhouette.segmentation.inner_edges import InnerEdgeSettings
 from jaxmocap.silhouette.smoothing import PoseSmoothingSettings
+from jaxmocap.silhouette.surfaces.body_shape import FULL
 from jaxmocap.silhouette.surfaces.rim import RimSettings
 
+
+class Cycle(NamedTuple):
+    """A rim, its pairs with the contours, and a solve.
+
+    Attributes:
+        deviation: of points about their rays, metres. At first it must be large: a limb that moved
+            fast is an outlier to the rest, and would be left behind. At last it is small: what
+            another limb's outline was taken for is an outlier then.
+        level: of the surface's low-passes (``RimSettings.levels``) that is matched; ``FULL`` for
+            all its frequencies.
+        segments: whether it begins with a segmentation; a frame's first does in any case.
+    """
+
+    deviation: float
+    level: int = FULL
+    segments: bool = False
+
+
+# The paper's own feature: grey levels alone, without a model of the room, whose are colours.
+GREY = segment.SegmentationPlan(colour=False, background=False)
 # Of a first pose that is off by 10 degrees and 6 cm: half of such poses are then found.
-FAR_OFF = (0.08, 0.08)
+FAR_OFF = (Cycle(0.08, 0, True), Cycle(0.08, 0, True))
+
+
+def progressive(cycles: tuple[Cycle, ...], levels: int, available: int) -> tuple[Cycle, ...]:
+    """Cycles of which the first match the surface's finest low-passes, coarse to fine.
+
+    Args:
+        cycles: that match whatever they do.
+        levels: so many low-passes, one a cycle; where there are too few, the first is repeated.
+        available: low-passes that there are.
+
+    Raises:
+        ValueError: more levels than there are.
+    """
+    if levels > available:
+        raise ValueError(f"found {levels} levels, expected {available} at most")
+    repeated = (cycles[0]._replace(segments=False),) * (levels + 1 - len(cycles))
+    longer = (*cycles[:1], *repeated, *cycles[1:])
+    chosen = range(available - levels, available)
+    coarse = (cycle._replace(level=level) for cycle, level in zip(longer, chosen, strict=False))
+    return (*coarse, *longer[levels:])
 
 
 @dataclass(frozen=True)
@@ -24,20 +67,19 @@ class Settings:
     """How to work.
 
     Attributes:
+        body: file in ``body/data`` whose joints move the person, and whose parts are tracked.
         rim: sizes; its canvases are the level sets' too, so that its margin holds a step's error.
         match: what makes a pair of rim and contour.
         level_set: of the segmentation, traced.
+        plan: of it, static.
         sharpen: whether single pixels then decide where exactly its contours are.
         points: of each camera's contour, static.
         contrast: least of a contour's point, 0 to 1: below, the image does not separate its two
             sides.
-        deviations: of points about their rays, metres, one cycle each. The first must be large: a
-            limb that moved fast is an outlier to the rest, and would be left behind. The last is
-            small: what another limb's outline was taken for is an outlier then.
-        starting_deviations: the same of cycles before those in the first frame, where its pose may
-            be far off, such as ``FAR_OFF``: each segments again, and matches the surface's low-pass
-            (coarse to fine). From a pose nearly right they lead to no better one.
-        segmentation_cycles: cycles that begin with a segmentation; the first does in any case.
+        cycles: of every frame.
+        starting_cycles: before those in the first frame, where its pose may be far off, such as
+            ``FAR_OFF``. From a pose nearly right they lead to no better one.
+        settling: of segmentation and pose in turn, after these cycles.
         edges: what shows one limb before another.
         iterations: of the pose in each cycle.
         predicted_deviation: of every degree of freedom about its prediction, metres and radians.
@@ -69,15 +111,17 @@ class Settings:
         settling_steps: times that the first frame is tracked before the second.
     """
 
+    body: str = "supple.toml"
     rim: RimSettings = field(default_factory=lambda: RimSettings(margin=0.1))
     match: MatchSettings = field(default_factory=MatchSettings)
     level_set: segment.LevelSetSettings = field(default_factory=segment.LevelSetSettings)
+    plan: segment.SegmentationPlan = field(default_factory=segment.SegmentationPlan)
     sharpen: bool = True
     points: int = 512
     contrast: float = 0.1
-    deviations: tuple[float, ...] = (0.03, 0.008, 0.004)
-    starting_deviations: tuple[float, ...] = ()
-    segmentation_cycles: tuple[int, ...] = (0,)
+    cycles: tuple[Cycle, ...] = (Cycle(0.03, segments=True), Cycle(0.008), Cycle(0.004))
+    starting_cycles: tuple[Cycle, ...] = ()
+    settling: SettlingSettings = field(default_factory=SettlingSettings)
     edges: InnerEdgeSettings = field(default_factory=InnerEdgeSettings)
     iterations: int = 4
     predicted_deviation: float = 0.08

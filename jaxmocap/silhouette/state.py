@@ -14,7 +14,7 @@ from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.recovery.lost_limbs import LimbMemory, LimbRecovery
 from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
 from jaxmocap.silhouette.segmentation.outlines import Outlines
-from jaxmocap.silhouette.segmentation.segment import Histograms, SegmentationPlan
+from jaxmocap.silhouette.segmentation.segment import Histograms
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.surfaces.body_shape import BodyShape
 from jaxmocap.silhouette.surfaces.rim import RimFinder
@@ -30,7 +30,6 @@ class TrackerConstants(NamedTuple):
         finder: of rims.
         rest_deviations: (D,) of joints held about 0, radians; infinite for the others.
         carriers: (M,) the bone that carries most of each node of the surface.
-        plan: static choices of the segmentation.
     """
 
     cameras: Camera
@@ -38,7 +37,6 @@ class TrackerConstants(NamedTuple):
     finder: RimFinder
     rest_deviations: np.ndarray
     carriers: np.ndarray
-    plan: SegmentationPlan
 
 
 class TrackedBody(NamedTuple):

@@ -4,8 +4,9 @@
     rim        of the surface at that pose, as each camera sees it (3.1.5)
     segment    level sets from the predicted silhouettes, their contours (4.1)
     fit        rim -> contour, twist equations of all cameras in one system (3.2); again with the
-               rim of the estimated pose, and a smaller deviation for outliers; in the first
-               frame begun with the surface's low-pass, coarse to fine
+               rim of the estimated pose, and a smaller deviation for outliers; begun with the
+               surface's low-pass, coarse to fine, in the first frame or in all; and segmented
+               and fitted again until both settle, where that is asked for
     recover    a limb that explains more where an earlier pass found it is fitted from there; where
                no limb explains a visible person, or a limb explains nothing, a particle filter
                proposes poses and the best is fitted; parts of another colour than before are hidden
@@ -26,8 +27,9 @@ import numpy as np
 from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface
+from jaxmocap.body.surfaces.parts import surface_of_body
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.geometry.cameras import Camera, stack_cameras
@@ -46,7 +48,7 @@ from jaxmocap.silhouette.recovery.lost_limbs import LimbRecovery
 from jaxmocap.silhouette.recovery.relocation import RecoveredPose, recover_limbs
 from jaxmocap.silhouette.recovery.withdrawal import remembered, slim, withdrawn
 from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
-from jaxmocap.silhouette.segmentation.segment import Histograms, SegmentationPlan
+from jaxmocap.silhouette.segmentation.segment import Histograms
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.state import (
     PoseEstimate,
@@ -78,27 +80,27 @@ class SilhouetteTracker:
         settings: Settings | None = None,
         surface: Surface | None = None,
         sites: Sites | None = None,
-        plan: SegmentationPlan | None = None,
     ):
         """Prepare a tracker.
 
         Args:
-            skeleton: of the person, moved by the joints of ``supple.toml`` or of another model.
+            skeleton: of the person; moved by the joints of ``settings.body``.
             cameras: one or several.
             settings: defaults to ``Settings()``.
-            surface: of the person; a generic one of the skeleton's proportions without it.
+            surface: of the whole person; a generic one of the skeleton's proportions without it.
             sites: of markers that are to be followed too.
-            plan: of the segmentation; defaults to ``SegmentationPlan()``.
         """
         listed = [cameras] if isinstance(cameras, Camera) else list(cameras)
         dtype = skeleton.lengths.dtype
         stacked = jax.tree.map(lambda part: jnp.asarray(part, dtype), stack_cameras(listed))
         s = settings or Settings()
-        skin = generic_surface(skeleton) if surface is None else surface
+        skeleton = with_joints(skeleton, s.body)
+        whole = generic_surface(skeleton) if surface is None else surface
+        skin = surface_of_body(whole, skeleton, s.body)
         finder = RimFinder(skeleton, skin, s.rim, s.morphing)
         self.constants = TrackerConstants(
             stacked, s, finder, s.rest * np.asarray(skeleton.rest_deviations, float),
-            carriers(finder.initial_shape.surface.points), plan or SegmentationPlan(),
+            carriers(finder.initial_shape.surface.points),
         )  # fmt: skip
         self._sites = Sites.none(dtype) if sites is None else sites
         self.body = self._body(finder.initial_shape)
@@ -135,7 +137,7 @@ class SilhouetteTracker:
         body = self.body if body is None else body
         width, count = body.shape.skeleton.costs.shape, len(self.constants.cameras.size)
         models = (None,) * count if backgrounds is None else tuple(backgrounds)
-        histograms = Histograms.empty(count, self.constants.plan)
+        histograms = Histograms.empty(count, self.constants.settings.plan)
         history, limbs = ImageHistory.empty(count), body.recovery.empty_memory()
         still, determined = np.zeros(width, np.float32), np.ones(width, bool)
         return State(pose, still, None, histograms, determined, history, limbs, body, models)

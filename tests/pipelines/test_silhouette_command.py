@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from test_point_rays import ring
 
+from jaxmocap.body.skeleton import with_joints
 from jaxmocap.cli import main
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.errors import InputError
@@ -95,6 +96,23 @@ def test_lengths_are_found_by_more_than_one_pass(folder, tmp_path, capsys):
     )
 
 
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (
+            ("--model-file", "arms"),
+            "invalid choice: 'arms' (choose from 'torso', 'legs', 'whole', ",
+        ),
+        (("--model-file", "legs", "--shoulders"), "--shoulders: the body has no joints of the "),
+    ],
+)
+def test_a_body_that_there_is_not_or_without_shoulders_is_refused(
+    folder, tmp_path, capsys, given, expected
+):
+    asked = [folder / "recording.toml", "--at", "0,0,0", "--out", tmp_path, *given]
+    assert expected in message_of(capsys, "track", *asked)
+
+
 SWELLS = """[[swelling]]
 patch = "arm"
 steered_by = ["elbow_flex"]
@@ -105,10 +123,15 @@ radii = [60, 0.1]
 
 
 @pytest.mark.parametrize(
-    ("given", "counts"),
-    [((), (0, 0)), (("--shoulders",), (4, 2)), (("--morphing", "swells.toml"), (0, 2))],
+    ("given", "counts", "body"),
+    [
+        ((), (0, 0), "supple.toml"),
+        (("--shoulders",), (4, 2), "supple.toml"),
+        (("--morphing", "swells.toml"), (0, 2), "supple.toml"),
+        (("--model-file", "torso"), (0, 0), "torso.toml"),
+    ],
 )
-def test_shoulders_and_skin_go_along_where_asked_to(folder, tmp_path, monkeypatch, given, counts):
+def test_settings_are_those_asked_for(folder, tmp_path, monkeypatch, given, counts, body):
     asked = {}
     (tmp_path / "swells.toml").write_text(SWELLS)
     monkeypatch.chdir(tmp_path)
@@ -123,8 +146,9 @@ def test_shoulders_and_skin_go_along_where_asked_to(folder, tmp_path, monkeypatc
     assert main(["silhouette", "track", path, "--at", "0,0,0", "--out", out, *given]) == 2
     morphing = asked["settings"].morphing
     assert (len(morphing.followers), len(morphing.swellings)) == counts
+    assert asked["settings"].body == body
     # Who says by hand where somebody stands says it roughly.
-    assert asked["settings"].starting_deviations
+    assert asked["settings"].starting_cycles
 
 
 def test_a_place_at_which_no_camera_looks_is_refused_before_anything_is_tracked(
@@ -146,7 +170,7 @@ def test_nothing_is_written_into_a_file(folder, tmp_path, capsys):
 
 def test_a_recording_that_shows_nobody_is_refused(folder):
     recording, progress = Recording.load(folder / "recording.toml"), []
-    start = standing_pose_at(track.supple_skeleton(recording.skeleton), 0.0, 0.0, 0.0)
+    start = standing_pose_at(with_joints(recording.skeleton, Settings.body), 0.0, 0.0, 0.0)
     settings = Settings(least_matched_share=2.0, settling_steps=0, particles=1)
     with pytest.raises(InputError, match="no camera shows the person in any frame"):
         track.track_silhouettes(

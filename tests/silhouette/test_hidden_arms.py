@@ -97,7 +97,7 @@ def projected_over(tracker, state, pose: Pose, images, used=(True,) * 4) -> Proj
     """A pose laid over what cameras show."""
     constants, walls = tracker.constants, plain_walls(tracker)
     rim = constants.finder.find(state.body.shape, pose, constants.cameras)
-    outlines = find_outlines(images, walls, rim, state.histograms, SMALL, constants.plan)
+    outlines = find_outlines(images, walls, rim, state.histograms, SMALL)
     return state.body.recovery.projector.project(pose, outlines, np.array(used), images, walls)
 
 

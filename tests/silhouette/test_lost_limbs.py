@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from test_rim import BODY, ring
-from test_silhouette_tracker import PLAIN, SMALL, WALL, painted, with_settings
+from test_silhouette_tracker import SMALL, WALL, painted, with_settings
 
 from jaxmocap.body.pose import relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS
@@ -67,7 +67,7 @@ def bent(degrees: float):
 
 def four_cameras() -> SilhouetteTracker:
     """Of four cameras."""
-    return SilhouetteTracker(BODY, ring(4), SMALL, plan=PLAIN)
+    return SilhouetteTracker(BODY, ring(4), SMALL)
 
 
 def plain_walls(tracker: SilhouetteTracker) -> list[Background]:

@@ -19,6 +19,7 @@ from jaxmocap.geometry.cameras import project, stack_cameras
 from jaxmocap.reference.silhouette import index_image as naive
 from jaxmocap.reference.silhouette import rim as naive_rim
 from jaxmocap.silhouette.points import contour_rays
+from jaxmocap.silhouette.surfaces.body_shape import FULL
 from jaxmocap.silhouette.surfaces.index_image import (
     body_mask,
     index_image,
@@ -161,7 +162,7 @@ def test_rim_points_lie_on_the_outline_within_a_fraction_of_a_cell(finder, rim):
 
 def projected_by(finder, pose, camera: int):
     """Columns, rows, depths, places and keys of all nodes, and the whole picture, of a camera."""
-    every = finder._project(finder.initial_shape.skin, finder.morph, BODY, pose, CAMERAS)
+    every = finder._project(finder.initial_shape.skins[FULL], finder.morph, BODY, pose, CAMERAS)
     projected = jax.tree.map(lambda part: np.asarray(part)[camera], every)
     cells = (
         np.stack([projected.u, projected.v], 1) - projected.region.origin

@@ -18,23 +18,29 @@ from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
 from jaxmocap.silhouette.device_functions import fit
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
+from jaxmocap.silhouette.fit import cycles
+from jaxmocap.silhouette.fit.settling import SettlingSettings
 from jaxmocap.silhouette.segmentation.background_models import BackgroundLearner, OnlineBackground
 from jaxmocap.silhouette.segmentation.segment import SegmentationPlan, Stage
-from jaxmocap.silhouette.settings import FAR_OFF, Settings
+from jaxmocap.silhouette.settings import FAR_OFF, Settings, progressive
 from jaxmocap.silhouette.surfaces.rim import RimSettings
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
-SMALL = Settings(rim=RimSettings(size=128, outer=128, inner=32, spacing=0.012, margin=0.1))
 # Plain walls need few steps, which compile sooner.
 PLAIN = SegmentationPlan(background=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
+SMALL = Settings(
+    body="whole.toml",
+    rim=RimSettings(size=128, outer=128, inner=32, spacing=0.012, margin=0.1),
+    plan=PLAIN,
+)
 PERSON, WALL = (40, 60, 150), (190, 180, 170)
 POINTS = landmark_points
 
 
 @pytest.fixture(scope="module")
 def tracker() -> SilhouetteTracker:
-    return SilhouetteTracker(BODY, ring(4), SMALL, plan=PLAIN)
+    return SilhouetteTracker(BODY, ring(4), SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -109,13 +115,30 @@ def test_starts_far_off_are_found_coarse_to_fine_and_not_by_the_full_surface_alo
         start = retract(truth, jnp.asarray(step, jnp.float32))
         assert off_by(start, truth).mean() > 0.15
         for starting, actual in left.items():
-            with_settings(tracker, replace(SMALL, starting_deviations=starting))
+            with_settings(tracker, replace(SMALL, starting_cycles=starting))
             state = tracker.init(start)
             for _ in range(3):
                 state, pose, _ = tracker.step(state, 0.0, images)
                 state = state._replace(time=None)
             actual.append(off_by(pose, truth).mean())
     assert max(left[FAR_OFF]) < 0.025 < 0.035 < np.mean(left[()])
+
+
+def test_segmentation_and_pose_alternate_until_both_settle_whatever_levels_come_first(
+    tracker, truth, images, monkeypatch
+):
+    segmented = []
+    find = cycles.find_outlines
+    monkeypatch.setattr(cycles, "find_outlines", lambda *a: segmented.append(1) or find(*a))
+    coarse_to_fine = progressive(SMALL.cycles, 2, len(SMALL.rim.levels))
+    for rounds, most in ((0, 1), (1, 2), (9, 9)):
+        settling = SettlingSettings(rounds, pose_m=0.005)
+        with_settings(tracker, replace(SMALL, cycles=coarse_to_fine, settling=settling))
+        segmented.clear()
+        _, pose, report = tracker.step(started(tracker, truth), 0.0, images)
+        assert min(rounds, 1) < len(segmented) <= most
+        assert report.used.all() and off_by(pose, truth).mean() < 0.03
+    with_settings(tracker, SMALL)
 
 
 def test_without_any_image_the_pose_is_held_and_every_joint_said_to_be_unseen(tracker, truth):

@@ -136,6 +136,13 @@ def surface_from_rest(
     return Surface(tuple(patches), points)
 
 
+def every_share(points: BodyPoints, bones: int) -> np.ndarray:
+    """(N, B) the share of every bone at N points."""
+    shares = np.zeros((len(points.bones), bones))
+    np.put_along_axis(shares, np.asarray(points.bones), np.asarray(points.shares), 1)
+    return shares
+
+
 def rest_nodes(surface: Surface, joints: np.ndarray) -> np.ndarray:
     """Nodes (N, 3) with all angles 0, metres, given the bones' joints (B, 3) there."""
     carried_at = joints[np.asarray(surface.points.bones)] + np.asarray(surface.points.points_bone)
@@ -147,10 +154,8 @@ def resampled(surface: Surface, joints: np.ndarray, spacing: float) -> Surface:
 
     Around, by the Fourier series of (3.17), evaluated at more places; along, linearly.
     """
-    nodes, bones = rest_nodes(surface, joints), np.asarray(surface.points.bones)
+    nodes, full = rest_nodes(surface, joints), every_share(surface.points, len(joints))
     grids, shares = {}, {}
-    full = np.zeros((len(nodes), len(joints)))
-    np.put_along_axis(full, bones, np.asarray(surface.points.shares), 1)
     for patch in surface.patches:
         grid = patch.grid(nodes)
         rows = full[patch.nodes].reshape(patch.along, patch.around, -1)
@@ -203,7 +208,8 @@ def low_pass(surface: Surface, joints: np.ndarray, harmonics: int, along: int) -
     for patch in surface.patches:
         grid = patch.grid(nodes)
         across = fourier_matrix(patch.around, np.arange(patch.around), harmonics)
-        smooth = np.einsum("av,vuc,bu->abc", cosine_matrix(patch.along, along), grid, across)
+        onto = cosine_matrix(patch.along, along)
+        smooth = np.einsum("av,vuc,bu->abc", onto, grid, across, optimize=True)
         nodes[patch.nodes] = smooth.reshape(-1, 3)
     places = jnp.asarray(nodes[:, None] - joints[bones], float)
     return replace(surface, points=surface.points._replace(points_bone=places))
@@ -225,10 +231,8 @@ class Skin(NamedTuple):
 
 def skin_of(surface: Surface, joints: np.ndarray) -> Skin:
     """A surface around bones with these joints (B, 3) at rest, for ``skinned``."""
-    points, dtype = surface.points, jnp.asarray(surface.points.points_bone).dtype
-    weights = np.zeros((len(points.bones), len(joints)))
-    np.put_along_axis(weights, np.asarray(points.bones), np.asarray(points.shares), 1)
-    rest = rest_nodes(surface, joints)
+    dtype = jnp.asarray(surface.points.points_bone).dtype
+    weights, rest = every_share(surface.points, len(joints)), rest_nodes(surface, joints)
     return Skin(*(jnp.asarray(part, dtype) for part in (weights.T, rest.T, joints)))
 
 

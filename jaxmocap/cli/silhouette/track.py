@@ -4,12 +4,14 @@ INPUTS: a recording. OUTPUTS: a folder with the motion in every format, a report
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from jaxmocap.cli.command import Command
 from jaxmocap.cli.option_types import place_and_facing
 from jaxmocap.cli.recording_options import add_cameras, recording_of
 from jaxmocap.cli.reporting import report
+from jaxmocap.cli.silhouette.settings_options import add_settings, settings_of
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
@@ -25,6 +27,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
     _add_passes(parser)
     parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")
+    add_settings(parser)
     _add_morphing(parser)
     parser.add_argument(
         "--model",
@@ -69,21 +72,23 @@ def _add_passes(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.body.skeleton import with_joints
     from jaxmocap.pipelines.kept_programs import keep_compiled
-    from jaxmocap.pipelines.silhouettes.first_pose import morphing_for, settings_for, start_pose
+    from jaxmocap.pipelines.silhouettes.first_pose import morphing_for, start_pose
     from jaxmocap.pipelines.silhouettes.person import person_files, with_model
-    from jaxmocap.pipelines.silhouettes.track import supple_skeleton, track_silhouettes
+    from jaxmocap.pipelines.silhouettes.track import track_silhouettes
     from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results
     from jaxmocap.pipelines.summary import figures, summary
 
     keep_compiled()
     recording, person = with_model(recording_of(options), options.model)
     model_files = person_files(Path(options.model)) if options.model else []
-    surface, body = person and person.surface, supple_skeleton(recording.skeleton)
+    settings = settings_of(options, by_hand=options.at is not None)
+    surface, body = person and person.surface, with_joints(recording.skeleton, settings.body)
     morphing = morphing_for(body, surface, options.shoulders, options.morphing)
     inputs = [*model_files, Path(options.morphing)] if options.morphing else model_files
     results_folder(options.out, recording, inputs)
-    start = start_pose(recording, options.at)
+    start = start_pose(recording, options.at, settings.body)
     followed = track_silhouettes(
         recording,
         start,
@@ -91,7 +96,7 @@ def _run(options: argparse.Namespace) -> None:
         markers=options.markers,
         lengths=options.lengths,
         surface=surface,
-        settings=settings_for(options.at is not None, morphing),
+        settings=replace(settings, morphing=morphing),
         progress=True,
     )
     warnings: list[str] = []

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARKS, with_joints
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.tables import format_table
@@ -26,13 +26,13 @@ from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, model_folder, mode
 from jaxmocap.pipelines.silhouettes.person import Person, with_model
 from jaxmocap.pipelines.silhouettes.track import (
     SilhouetteResult,
-    supple_skeleton,
     track_silhouettes,
 )
 from jaxmocap.pipelines.silhouettes.writing import VIDEO_KINDS, write_into
 from jaxmocap.pipelines.summary import frames_per_second
 from jaxmocap.pipelines.writing import MOTION, MOTION_FILES
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
+from jaxmocap.silhouette.settings import Settings
 from jaxmocap.synthetic.four_cameras import Performer, flexion_angles, write_four_cameras
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.exercises import exercise
@@ -162,7 +162,7 @@ def tracked_from_truth(
     """Track from the truth's first pose, with the person's own model where there is one."""
     points = read_trc(truth).points()
     first = np.array([points[n][0] if n in points else np.full(3, np.nan) for n in LANDMARKS])
-    start = pose_at_landmarks(supple_skeleton(recording.skeleton), first)
+    start = pose_at_landmarks(with_joints(recording.skeleton, Settings.body), first)
     return track_silhouettes(recording, start, surface=own and own.surface, progress=progress)
 
 

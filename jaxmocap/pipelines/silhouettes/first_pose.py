@@ -3,13 +3,14 @@
 INPUTS: a Recording; a place; what is asked for. OUTPUTS: a Pose of the whole body; Settings.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from jaxmocap.body.model import marker_sites
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.morphing import Morphing, shoulders
 from jaxmocap.body.surfaces.surface import Surface
@@ -19,15 +20,31 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import depth, project
 from jaxmocap.hybrid.settings import Settings as Hybrid
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.pipelines.silhouettes.track import supple_skeleton
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
-from jaxmocap.silhouette.settings import FAR_OFF, Settings
+from jaxmocap.silhouette.settings import FAR_OFF, GREY, Settings, progressive
 
 
-def settings_for(by_hand: bool, morphing: Morphing) -> Settings:
-    """Of the tracker: whether the first pose was given by hand; what goes along with joints."""
-    # Given by hand it is rough.
-    return Settings(starting_deviations=FAR_OFF if by_hand else (), morphing=morphing)
+def settings_for(
+    body: str, by_hand: bool, *, grey: bool = False, frequencies: int = 0, settle: int = 0
+) -> Settings:
+    """Of the tracker.
+
+    Args:
+        body: file in ``body/data``.
+        by_hand: whether the first pose was given so, and is rough.
+        grey: whether grey levels segment, rather than colours.
+        frequencies: low-passes of the surface that every frame matches first.
+        settle: rounds of segmentation and pose after that, at most.
+    """
+    usual = Settings()
+    return replace(
+        usual,
+        body=body,
+        cycles=progressive(usual.cycles, frequencies, len(usual.rim.levels)),
+        starting_cycles=FAR_OFF if by_hand else (),
+        settling=usual.settling._replace(rounds=settle),
+        plan=GREY if grey else usual.plan,
+    )
 
 
 def morphing_for(
@@ -42,35 +59,46 @@ def morphing_for(
         file: what goes along instead, such as ``body/data/shoulder.toml``.
 
     Raises:
-        InputError: the file cannot be used.
+        InputError: the file cannot be used, or the body's shoulders cannot go along.
     """
     if file is None:
-        return shoulders() if go_along else Morphing()
+        morphing = shoulders() if go_along else Morphing()
+        joints = skeleton.tree.joints
+        if any(follower.joint not in joints for follower in morphing.followers):
+            problem = "the body has no joints of the clavicles, expected torso, whole or supple"
+            raise InputError("--shoulders", problem)
+        return morphing
     worn = generic_surface(skeleton) if surface is None else surface
     return read_morphing(file, skeleton.tree, worn.patches)
 
 
-def start_pose(recording: Recording, at: tuple[float, float, float] | None = None) -> Pose:
+def start_pose(
+    recording: Recording,
+    at: tuple[float, float, float] | None = None,
+    body: str = Settings.body,
+) -> Pose:
     """The first pose.
 
     Args:
         recording: with or without markers.
         at: x and y in metres and the direction that the person faces, degrees from x towards y,
             for somebody who stands upright; without it as the markers are.
+        body: file whose joints move the person.
 
     Raises:
         InputError: neither a place nor markers, or a place at which no camera looks.
     """
     where = recording.path or recording.name
+    skeleton = with_joints(recording.skeleton, body)
     if at is not None:
         x, y, _ = np.array([*at[:2], 0.0]) - recording.origin_world
-        pose = standing_pose_at(supple_skeleton(recording.skeleton), x, y, np.radians(at[2]))
+        pose = standing_pose_at(skeleton, x, y, np.radians(at[2]))
     elif not recording.places:
         problem = "no [markers] to begin from, expected --at X,Y,FACING of a person who stands"
         raise InputError(where, f"{problem} upright")
     else:
-        pose = _by_markers(recording)
-    if recording.videos and not in_view(recording, pose):
+        pose = _by_markers(recording, skeleton)
+    if recording.videos and not in_view(recording, skeleton, pose):
         x, y, _ = np.asarray(pose.position) + recording.origin_world
         names = ", ".join(source.camera_name for source in recording.videos)
         problem = f"the person begins at x = {x:.2f}, y = {y:.2f} m, where no camera looks"
@@ -78,9 +106,9 @@ def start_pose(recording: Recording, at: tuple[float, float, float] | None = Non
     return pose
 
 
-def in_view(recording: Recording, pose: Pose) -> bool:
-    """Whether any camera sees any landmark of the pose."""
-    points = landmark_points(supple_skeleton(recording.skeleton), pose)
+def in_view(recording: Recording, skeleton: Skeleton, pose: Pose) -> bool:
+    """Whether any camera sees any landmark of a skeleton's pose."""
+    points = landmark_points(skeleton, pose)
     for source in recording.videos:
         depths = np.asarray(depth(source.camera, points))
         pixels = np.asarray(project(source.camera, points))
@@ -90,7 +118,7 @@ def in_view(recording: Recording, pose: Pose) -> bool:
     return False
 
 
-def _by_markers(recording: Recording) -> Pose:
+def _by_markers(recording: Recording, body: Skeleton) -> Pose:
     """The pose that the markers' inverse kinematics finds in the first sample that has most."""
     count = np.isfinite(recording.positions_world).all(-1).sum(1)
     first = recording.positions_world[int(np.argmax(count))]
@@ -98,4 +126,4 @@ def _by_markers(recording: Recording) -> Pose:
     sites = marker_sites(skeleton, recording.places)
     tracker = HybridTracker(skeleton, None, Hybrid(), sites)
     points = landmark_points(tracker.model.skeleton, tracker.init(first).pose)
-    return pose_at_landmarks(supple_skeleton(skeleton), np.asarray(points))
+    return pose_at_landmarks(body, np.asarray(points))

@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.body.model import marker_sites
+from jaxmocap.body.model import Model, marker_sites
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, with_joints
+from jaxmocap.body.surfaces.parts import determined_landmarks, moved_bones
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.capture.background_pictures import read_empty_room
@@ -33,8 +34,6 @@ from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.state import StepReport, TrackerConstants
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
-# The second paper's joints.
-MODEL = "supple.toml"
 # A photographed surface's deviations by a generic one's: what was photographed needs less
 # correction than what was guessed.
 PHOTOGRAPHED_SHARE = 0.5
@@ -89,11 +88,6 @@ class _Footage(NamedTuple):
                 yield FrameBundle(float(time), images, markers)
 
 
-def supple_skeleton(skeleton: Skeleton) -> Skeleton:
-    """The person, moved by the second paper's joints, and by wrists and neck beyond them."""
-    return with_joints(skeleton, MODEL)
-
-
 def make_silhouette_tracker(
     recording: Recording,
     settings: Settings | None = None,
@@ -114,7 +108,8 @@ def make_silhouette_tracker(
     if not recording.videos:
         raise InputError(recording.path or recording.name, "no [[video]]: expected one or several")
     cameras = [source.camera for source in recording.videos]
-    skeleton = supple_skeleton(recording.skeleton)
+    settings = settings or Settings()
+    skeleton = with_joints(recording.skeleton, settings.body)
     sites = marker_sites(skeleton, recording.require_markers().places) if markers else None
     return SilhouetteTracker(skeleton, cameras, settings, surface, sites)
 
@@ -144,7 +139,7 @@ def track_silhouettes(
 
     Args:
         recording: with one or several videos.
-        start: where the person is in the first frames, a pose of ``supple_skeleton``.
+        start: where the person is in the first frames, a pose of the settings' body.
         settings: of the tracker.
         passes: in 1 the backgrounds are what its frames so far showed, and the shape is generic;
             2 learn both first; 3 once more, the shape with the learned backgrounds. Limbs that
@@ -162,7 +157,7 @@ def track_silhouettes(
         InputError: no video, or nobody in any frame.
     """
     tracker = make_silhouette_tracker(recording, settings, markers, surface)
-    footage, warnings = _open(recording, markers)
+    footage, warnings = _open(recording, tracker.body.model if markers else None)
     how = PassSettings(passes, 1.0 if surface is None else PHOTOGRAPHED_SHARE, lengths)
     with progress_bar("tracking", progress) as show:
         result = run_passes(
@@ -177,7 +172,7 @@ def track_silhouettes(
         "recording": recording.path or recording.name,
         "cameras": names,
         "markers": recording.marker_names if markers else (),
-        "warnings": warnings,
+        "warnings": (*warnings, *_at_rest(tracker.body.model.skeleton)),
         "tracker": constants.settings,
     }
     report = _report(result, constants, names, plain(described))
@@ -186,16 +181,28 @@ def track_silhouettes(
     return SilhouetteResult(motion, _masks(result, names), shape.surface)
 
 
-def _open(recording: Recording, markers: bool) -> tuple[_Footage, tuple[str, ...]]:
-    """The videos and which of their frames belong together."""
+def _at_rest(skeleton: Skeleton) -> Iterator[str]:
+    """What a user must know of the landmarks that the body does not move."""
+    still = [LANDMARKS[i] for i in np.flatnonzero(~determined_landmarks(skeleton.tree))]
+    if still:
+        yield f"not tracked by this body, kept as at rest: {', '.join(still)}"
+
+
+def _open(recording: Recording, followed: Model | None) -> tuple[_Footage, tuple[str, ...]]:
+    """The videos and which of their frames belong together; the markers of a model with them.
+
+    Those on bones that its joints do not move are none.
+    """
     videos, warnings = [open_video(source) for source in recording.videos], list(recording.warnings)
     for video, source in zip(videos, recording.videos, strict=True):
         warning = check_video_size(video, source.camera, video.name)
         warnings += [warning] if warning else []
     times, indices = bundle_frames([video.times for video in videos])
     positions = np.empty((len(times), 0, 3))
-    if markers:
+    if followed is not None:
         positions = interpolate_markers(recording.times, recording.positions_world, times)
+        moved = moved_bones(followed.skeleton.tree)[followed.markers.bone_indices]
+        positions = np.where(moved[:, None], positions, np.nan)
     return _Footage(videos, times, indices, positions), tuple(warnings)
 
 

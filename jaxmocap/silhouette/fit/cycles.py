@@ -18,11 +18,12 @@ from jaxmocap.silhouette.device_functions import ContourPairs, fit, free_pose
 from jaxmocap.silhouette.fit.camera_agreement import disagreeing, matched_shares
 from jaxmocap.silhouette.fit.correspond import matched_pairs
 from jaxmocap.silhouette.fit.expected_pose import combined_prior
+from jaxmocap.silhouette.fit.settling import has_settled
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, TermEvidence
 from jaxmocap.silhouette.segmentation.inner_edges import concatenated, inner_edge_pairs
 from jaxmocap.silhouette.segmentation.outlines import Outlines, find_outlines
 from jaxmocap.silhouette.segmentation.segment import Histograms
-from jaxmocap.silhouette.settings import Settings
+from jaxmocap.silhouette.settings import Cycle, Settings
 from jaxmocap.silhouette.state import TrackedBody, TrackerConstants
 from jaxmocap.silhouette.surfaces.rim import Rim
 from jaxmocap.silhouette.surfaces.shape import NodePairs
@@ -80,33 +81,50 @@ def fit_pose(
         predicted: to start from, and the mean of the prior.
         deviations: (6 + D,) of the prior, metres and radians.
     """
-    s, finder, shape = constants.settings, constants.finder, body.shape
-    rough = s.starting_deviations if frame.is_first else ()
-    centre = predicted if finder.morph is None else free_pose(finder.morph, predicted)
+    s, morph = constants.settings, constants.finder.morph
+    centre = predicted if morph is None else free_pose(morph, predicted)
     prior = combined_prior(centre, deviations, constants.rest_deviations)
-    pose, fitted, outlines, used = predicted, None, None, np.zeros(0, bool)
-    for cycle, deviation in enumerate((*rough, *s.deviations)):
-        coarse = cycle < len(rough)
-        rim = finder.find(shape, pose, constants.cameras, coarse)
-        if coarse or outlines is None or cycle - len(rough) in s.segmentation_cycles:
-            outlines = find_outlines(
-                frame.images, frame.backgrounds, rim, frame.histograms, s, constants.plan
-            )
-            used = np.ones(len(frame.images), bool)
-        pairs, shares, used = _paired(constants, body, frame, rim, outlines, used, coarse)
-        how = PoseSettings(deviation=deviation, iterations=s.iterations)
-        result = solve_pairs(constants, body, pose, pairs.pairs, how, prior, frame.beside)
-        weights = pairs.pairs.weights
-        distances = np.asarray(result.distances).reshape(weights.shape)
-        used = used & ~disagreeing(
-            distances, np.asarray(weights) > 0, s.disagreement, s.agreement_m
-        )
-        pose = result.pose
-        robust = np.asarray(result.shares).reshape(weights.shape)
-        left = pairs._replace(pairs=pairs.pairs._replace(weights=robust * weights))
-        fitted = FittedPose(result, used, shares, outlines, left)
-    assert fitted is not None
+    first, *rest = (*(s.starting_cycles if frame.is_first else ()), *s.cycles)
+    fitted = _fitted(constants, body, frame, prior, first, predicted)
+    for cycle in rest:
+        fitted = _fitted(constants, body, frame, prior, cycle, fitted.result.pose, fitted)
+    again = s.cycles[-1]._replace(segments=True)
+    for _ in range(s.settling.rounds):
+        before = fitted
+        fitted = _fitted(constants, body, frame, prior, again, before.result.pose, before)
+        poses = before.result.pose, fitted.result.pose
+        contours = before.outlines.contours, fitted.outlines.contours
+        if has_settled(body.shape.skeleton, poses, contours, s.settling):
+            break
     return fitted
+
+
+def _fitted(
+    constants: TrackerConstants,
+    body: TrackedBody,
+    frame: FrameEvidence,
+    prior: Prior,
+    cycle: Cycle,
+    pose: Pose,
+    before: FittedPose | None = None,
+) -> FittedPose:
+    """One cycle from a pose, with what the cycle before left, if there was one."""
+    s = constants.settings
+    rim = constants.finder.find(body.shape, pose, constants.cameras, cycle.level)
+    if before is None or cycle.segments:
+        outlines = find_outlines(frame.images, frame.backgrounds, rim, frame.histograms, s)
+        used = np.ones(len(frame.images), bool)
+    else:
+        outlines, used = before.outlines, before.used
+    pairs, shares, used = _paired(constants, body, frame, rim, outlines, used, cycle.level)
+    how = PoseSettings(deviation=cycle.deviation, iterations=s.iterations)
+    result = solve_pairs(constants, body, pose, pairs.pairs, how, prior, frame.beside)
+    weights = pairs.pairs.weights
+    distances = np.asarray(result.distances).reshape(weights.shape)
+    used = used & ~disagreeing(distances, np.asarray(weights) > 0, s.disagreement, s.agreement_m)
+    robust = np.asarray(result.shares).reshape(weights.shape)
+    left = pairs._replace(pairs=pairs.pairs._replace(weights=robust * weights))
+    return FittedPose(result, used, shares, outlines, left)
 
 
 def _paired(
@@ -116,7 +134,7 @@ def _paired(
     rim: Rim,
     outlines: Outlines,
     used: np.ndarray,
-    coarse: bool,
+    level: int,
 ) -> tuple[NodePairs, np.ndarray, np.ndarray]:
     """Pairs of rim and contour and of inner edges; shares that matched; cameras (C,) that count."""
     s = constants.settings
@@ -128,7 +146,7 @@ def _paired(
     weights = np.concatenate([matches.valid, s.edges.weight * edges.valid], 1)
     matches = concatenated(matches, edges)
     weights = (weights * used[:, None]).astype(np.float32)
-    points = body.shape.points(matches.nodes, coarse)
+    points = body.shape.points(matches.nodes, level)
     moves = constants.finder.moves(matches.nodes)
     along_weight = s.match.along_weight
     pixels, normals = matches.pixels_xy, matches.normals
@@ -166,7 +184,7 @@ def information_without(
     moved = np.any(skeleton.tree.carries[ROOT_DOF:][hidden], 0)
     gone = moved[constants.carriers[pairs.nodes]]
     weights = np.where(gone, np.float32(0), pairs.pairs.weights)
-    how = PoseSettings(deviation=s.deviations[-1], iterations=0)
+    how = PoseSettings(deviation=s.cycles[-1].deviation, iterations=0)
     flat = np.full(skeleton.costs.shape, s.predicted_deviation)
     here = combined_prior(pose, flat, constants.rest_deviations)
     beside = term_evidence(body.model, positions_world, s)

@@ -30,7 +30,7 @@ class LimbChain(NamedTuple):
 
 
 def limb_chains(skeleton: Skeleton, surface: Surface) -> dict[str, LimbChain]:
-    """``arm_l`` and so on, those searched by joints of as many bones as they have."""
+    """``arm_l`` and so on, those of which the skeleton has joints to search by."""
     tree, chains = skeleton.tree, {}
     turned = np.array(tree.dof_bones, np.int32)
     for kind in ("arm", "leg"):
@@ -38,7 +38,7 @@ def limb_chains(skeleton: Skeleton, surface: Surface) -> dict[str, LimbChain]:
             bones = tree.bones_in(kind, side=side)
             on_side = [tree.segments[bone].side == side for bone in turned]
             joints = np.flatnonzero((np.array(tree.searched) == kind) & on_side)
-            if len(bones) and len(np.unique(turned[joints])) >= len(bones):
+            if len(bones) and len(joints):
                 # From the body outwards.
                 joints = joints[np.argsort(turned[joints], kind="stable")].astype(np.int32)
                 radii = bone_radii(skeleton, surface, bones)

@@ -18,7 +18,6 @@ from jaxmocap.silhouette.segmentation.segment import (
     CanvasImages,
     Histograms,
     Segmentation,
-    SegmentationPlan,
     segment,
 )
 from jaxmocap.silhouette.segmentation.sharpen import sharpened_silhouette
@@ -53,7 +52,6 @@ def find_outlines(
     rim: Rim,
     before: Histograms,
     settings: Settings,
-    plan: SegmentationPlan,
 ) -> Outlines:
     """Segment the images from the silhouettes that are predicted.
 
@@ -63,14 +61,13 @@ def find_outlines(
         rim: at the predicted pose.
         before: histograms of the frames before.
         settings: of the tracker.
-        plan: static choices of the segmentation.
     """
     size, region = settings.rim.size, Region(*map(np.asarray, rim.region))
     views = [Region(*each) for each in zip(*region, strict=True)]
     taken = [_canvas(*each, size) for each in zip(images, views, backgrounds, strict=True)]
     start = np.stack([silhouette_distance(mask) for mask in rim.masks])
     canvases = CanvasImages.of(taken)
-    segmentation = segment(canvases, start, before, settings.level_set, plan)
+    segmentation = segment(canvases, start, before, settings.level_set, settings.plan)
     phi = np.stack(
         [attached(*each) for each in zip(np.asarray(segmentation.phi), start, strict=True)]
     )

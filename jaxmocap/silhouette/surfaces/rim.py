@@ -29,7 +29,7 @@ from jaxmocap.body.surfaces.surface import (
 )
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, camera_components, pixel_components
 from jaxmocap.images.regions import Region, region_around
-from jaxmocap.silhouette.surfaces.body_shape import BodyShape
+from jaxmocap.silhouette.surfaces.body_shape import FULL, BodyShape
 from jaxmocap.silhouette.surfaces.index_image import (
     Boundary,
     body_mask,
@@ -58,7 +58,8 @@ class RimSettings:
         jump: in depth that makes a boundary between limbs, metres.
         margin: around the person, as a fraction of its extent.
         finest: image pixels to a cell, at least.
-        coarse: of the surface's low-pass, harmonics around and waves along each limb.
+        levels: of the surface's low-passes, coarse to fine: harmonics around and waves along each
+            limb.
     """
 
     size: int = 192
@@ -68,7 +69,7 @@ class RimSettings:
     jump: float = 0.04
     margin: float = 0.03
     finest: float = 0.25
-    coarse: tuple[int, int] = (1, 4)
+    levels: tuple[tuple[int, int], ...] = ((1, 4), (2, 8), (4, 16))
 
 
 class Rim(NamedTuple):
@@ -142,7 +143,7 @@ class RimFinder:
 
     def shape_of(self, skeleton: Skeleton, surface: Surface) -> BodyShape:
         """Another shape of the same person: a surface of as many nodes, around a skeleton."""
-        return BodyShape.of(skeleton, surface, self.settings.coarse)
+        return BodyShape.of(skeleton, surface, self.settings.levels)
 
     def _projected(
         self, skin: Skin, morph: Morph | None, skeleton: Skeleton, pose: Pose, cameras: Camera
@@ -166,10 +167,9 @@ class RimFinder:
 
         return jax.vmap(one)(cameras)
 
-    def find(self, shape: BodyShape, pose: Pose, cameras: Camera, coarse: bool = False) -> Rim:
-        """The rims as C cameras (stacked) see them, of the surface or of its low-pass."""
-        skin = shape.coarse_skin if coarse else shape.skin
-        projected = self._project(skin, self.morph, shape.skeleton, pose, cameras)
+    def find(self, shape: BodyShape, pose: Pose, cameras: Camera, level: int = FULL) -> Rim:
+        """The rims as C cameras (stacked) see them, of the surface or of one of its low-passes."""
+        projected = self._project(shape.skins[level], self.morph, shape.skeleton, pose, cameras)
         projected = jax.tree.map(np.asarray, projected)
         count = len(projected.u)
         views = [jax.tree.map(lambda part, c=c: part[c], projected) for c in range(count)]

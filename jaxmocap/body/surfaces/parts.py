@@ -1,0 +1,66 @@
+"""The parts that a body's joints move: its own surface, and the landmarks that lie on them.
+
+INPUTS: a Surface of a whole person; a body's file. OUTPUTS: the surface of what that body has.
+
+A torso is tracked without legs and legs without arms, since what no joint moves would lie elsewhere
+than in the images. The file lists its patches (``surface``), and how far up it has one of them.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxmocap.body.model_files import surface_rows_of
+from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton
+from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.surfaces.surface import Surface, every_share, rest_nodes, surface_from_rest
+from jaxmocap.body.tree import ROOT_DOF, Tree
+
+
+def moved_bones(tree: Tree) -> np.ndarray:
+    """(B,) bool: bones that a joint moves against the root, and those that begin at it."""
+    return tree.carries[ROOT_DOF:].any(0) | (np.array(tree.parents) < 0)
+
+
+def determined_landmarks(tree: Tree) -> np.ndarray:
+    """(L,) bool: those on ``moved_bones``, or at such a bone's far end."""
+    moved, places = moved_bones(tree), []
+    for name, at in LANDMARK_PLACES.values():
+        bone = tree.bone(name)
+        begins = at == 0 and tree.parents[bone] >= 0
+        places.append(bool(moved[bone] or (begins and moved[tree.parents[bone]])))
+    return np.array(places)
+
+
+def surface_of_body(surface: Surface, skeleton: Skeleton, name: str) -> Surface:
+    """A whole person's surface, cut down to the parts of a body; closed where it was cut.
+
+    Args:
+        surface: around the skeleton.
+        skeleton: of the person.
+        name: of the body's file; where that lists no ``surface`` it has all of it.
+    """
+    rows = surface_rows_of(name)
+    if not rows:
+        return surface
+    joints, tree = rest_joints(skeleton), skeleton.tree
+    nodes, shares = rest_nodes(surface, joints), every_share(surface.points, len(joints))
+    last = {row["patch"]: row.get("to") for row in rows}
+    grids, carried = {}, {}
+    for patch in surface.patches:
+        if patch.limb not in last:
+            continue
+        grid, share = patch.grid(nodes), shares[patch.nodes].reshape(patch.along, patch.around, -1)
+        if (to := last[patch.limb]) is not None:
+            count = _rings_up_to(share, tree.chain(to))
+            middle = np.broadcast_to(grid[count - 1].mean(0), grid[:1].shape)
+            grid = np.concatenate([grid[:count], middle])
+            share = np.concatenate([share[:count], share[count - 1 : count]])
+        grids[patch.name], carried[patch.name] = grid, share
+    return surface_from_rest(grids, carried, joints)
+
+
+def _rings_up_to(shares: np.ndarray, bones: Sequence[int]) -> int:
+    """How many rings, from the first, some bones carry most of."""
+    own = shares[..., list(bones)].sum(-1).mean(1) > 0.5
+    return len(own) if own.all() else int(np.argmin(own))
