@@ -88,7 +88,7 @@ DOORS = {
     ),
 }
 HEAVY = ("cv2", "rerun", "matplotlib", "av", "optimistix", "ezc3d")
-TOP_LEVEL = {*ROOMS, "__init__.py", "README.md", "py.typed"}
+TOP_LEVEL = {*ROOMS, "docs", "__init__.py", "README.md", "py.typed"}
 MOST_MODULES = 12
 LONGEST_FILE = 350
 DRAWERS = ("utils", "util", "common", "helpers", "helper", "misc", "tools", "shared")
