@@ -114,7 +114,9 @@ def by_direction(
     return sorted_edges.reshape(channels, rows, columns)
 
 
-def distance_field(edges: np.ndarray, farthest: float, out: np.ndarray | None = None) -> np.ndarray:
+def distance_field(
+    edges: np.ndarray, farthest: float = EdgeSettings.farthest, out: np.ndarray | None = None
+) -> np.ndarray:
     """Distances (H, W), float32, pixels, to the nearest edge, cut off at ``farthest``.
 
     The distance transform of the inverted edge image, equation (10). Without any edge all is
