@@ -11,7 +11,7 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, load_skeleton
 from jaxmocap.body.surfaces.morphing import Morphing, shoulders
-from jaxmocap.pipelines.silhouettes.track import MODEL
+from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.smoothing import FrameInformation, PoseSmoothingSettings, smoothed_poses
 from jaxmocap.silhouette.surfaces.morph import morph_of, with_followers
 
@@ -23,7 +23,7 @@ SURE, UNSURE = 1e8, 1e-6
 
 @pytest.fixture(scope="module")
 def skeleton() -> Skeleton:
-    return load_skeleton(MODEL)
+    return load_skeleton(Settings.body)
 
 
 def moving(skeleton: Skeleton, wave: np.ndarray) -> tuple[Pose, np.ndarray]:
