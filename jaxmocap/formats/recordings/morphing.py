@@ -78,10 +78,10 @@ def _rows(data: TomlTable, kind: str) -> list[TomlTable]:
 
 def _check_joints(row: TomlTable, tree: Tree, names: list[str], sides: tuple[str, ...]) -> None:
     """InputError where the body has no such joint; with no side a name is a whole one."""
-    known = tree.joints if not sides else _sided(tree)
+    valid = tree.joints if not sides else _sided(tree)
     for name in names:
-        if name not in known:
-            raise row.error("", f"no joint {short_repr(name)}, expected of {comma_list(known)}")
+        if name not in valid:
+            raise row.error("", f"no joint {short_repr(name)}, expected of {comma_list(valid)}")
 
 
 def _sided(tree: Tree) -> tuple[str, ...]:
