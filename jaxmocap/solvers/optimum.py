@@ -78,7 +78,7 @@ def descend(costs: Costs, start: Any, scale: Array, steps: int) -> Descent:
 
     def step(carry: tuple[Array, Array, Array, Descent]) -> tuple[Array, Array, Array, Descent]:
         count, undamped, damping, (x, _, _) = carry
-        # At one go, as the prices below: where the cost is written once more, it compiles once more.
+        # At one go, as the prices below: written once more, the cost would compile once more.
         H, g = jax.jacfwd(lambda step: 2 * (costs.slope(x, step),), has_aux=True)(still)
         low, high = costs.room(x)
         at_rest = rests(g, low, high)

@@ -1,4 +1,4 @@
-"""Pose of a rigid object by its contour: descriptors, the linear system, poses that are given, limits."""
+"""Pose of a rigid object by its contour: descriptors, the linear system, given poses, limits."""
 
 import doctest
 
