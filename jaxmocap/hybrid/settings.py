@@ -152,7 +152,8 @@ class Settings:
     search: bool = static(
         True,
         "look for the elbows globally and remember; without it refinement starts from the markers' "
-        "pose in every frame, as in the paper",
+        "pose in every frame, as in the paper, and nothing is carried to samples between frames: "
+        "take the nearest frame then",
     )
     balance: Literal["before", "after", "none"] = static(
         "before",
