@@ -94,26 +94,29 @@ QUICK, QUICK_SECONDS = ("silhouettes, colours, key points",), 0.5
 
 @dataclass(frozen=True)
 class FirstRun:
-    """A recording, tracked frame by frame in the usual way."""
+    """A recording, tracked frame by frame in the usual way, and by the search alone."""
 
     recording: Recording
     tracker: HybridTracker
     videos: list[FrameSource]
     events: RecordingEvents
     first_pass: FirstPass
+    searched: FirstPass
 
     @classmethod
     def through(cls, recording: Recording) -> "FirstRun":
         """Track it."""
         videos, _ = open_footage(recording)
         tracker, events = make_tracker(recording), RecordingEvents.of(recording, videos, "own")
-        with forward_readers(videos) as readers:
-            first_pass = scanned(events, tracker, readers, lambda done, total: None, Clock())
-        return cls(recording, tracker, videos, events, first_pass)
+        passes = []
+        for each in (tracker, tracker.by_search()):
+            with forward_readers(videos) as readers:
+                passes.append(scanned(events, each, readers, lambda done, total: None, Clock()))
+        return cls(recording, tracker, videos, events, *passes)
 
     def smoothed(self, kind: Kind) -> Motion:
         """What the second pass makes of some kind of evidence."""
-        first, model = self.first_pass, self.tracker.model
+        first, model = self.searched, self.tracker.model
         if kind.points:
             points, line = open_all_keypoints(self.recording, self.videos), self.events.timeline
             lines = lines_at_events(self.recording, points, line, first.reports.marker_pose)

@@ -16,7 +16,7 @@ from jaxmocap.formats.files.errors import InputError
 if TYPE_CHECKING:
     from jaxmocap.formats.recordings.recording import Recording
 
-REFINEMENTS = ("simplex", "gradient", "none")
+REFINEMENTS = ("simplex", "gradient", "search", "none")
 EVIDENCE = ("outline", "coverage")
 
 

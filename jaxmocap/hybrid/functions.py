@@ -158,7 +158,8 @@ def refine(model: Model, settings: Settings, pose: Pose, observation: Observatio
     the minimum of ``settings.gradient_terms``. With "simplex" the body follows the elbows, and
     each arm goes where the downhill simplex ends. Its iterations have no derivative; the minimum
     beside which it ends has one, by the cost's own Hessian, and 0 in directions in which it is not
-    curved upwards. With "none", or without an image, the pose stays.
+    curved upwards. With "search" the body follows the elbows only. With "none", or without an
+    image, the pose stays.
 
     Args:
         model: of the person, the markers and the cameras.
@@ -171,7 +172,9 @@ def refine(model: Model, settings: Settings, pose: Pose, observation: Observatio
     settings, pose, observed = in_precision(model, (settings, pose, observation))
     held = jax.lax.stop_gradient((model, settings, pose, observed))
     followed = _followed(*held)
-    if settings.refine == "gradient":
+    if settings.refine == "search":
+        refined = _going_along(pose, followed)
+    elif settings.refine == "gradient":
         refined = _by_gradient(model, settings, pose, observed, followed)
     else:
         refined = _by_simplex(model, settings, pose, observed, followed)
@@ -202,10 +205,13 @@ def _by_simplex(
 ) -> Pose:
     fields, grip = observed.edges.fields, _arms(model, pose).grip
     held = jax.lax.stop_gradient((model, settings, fields, start, grip, observed.elbows))
-    # What the body did to follow is held: it goes along with the pose.
-    change = difference(jax.lax.stop_gradient(refine_arms(*held)), jax.lax.stop_gradient(pose))
-    there = retract(pose, change)
+    there = _going_along(pose, refine_arms(*held))
     return arms_at_minimum(model, settings, fields, there, grip, observed.elbows)
+
+
+def _going_along(pose: Pose, end: Pose) -> Pose:
+    """The end, which moves as the pose does: what the body did to get there is held."""
+    return retract(pose, jax.lax.stop_gradient(difference(end, pose)))
 
 
 def smooth(model: Model, settings: Settings, events: Events) -> SmoothMotion:

@@ -217,6 +217,8 @@ def _fit(
     grip_targets: Array,
 ) -> tuple[Pose, Array]:
     """The pose whose outlines lie on edges, and how the descent ended."""
+    if settings.refine == "search":
+        return pose, _no_status()
     if settings.refine == "gradient":
         refined = refine_body(model, settings, fields, pose, aims)
         return refined.pose, refined.status

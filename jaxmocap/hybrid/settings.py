@@ -144,10 +144,10 @@ class GradientSettings:
 class Settings:
     """How the tracker works."""
 
-    refine: Literal["simplex", "gradient", "none"] = static(
+    refine: Literal["simplex", "gradient", "search", "none"] = static(
         "simplex",
-        "what follows the search: each arm by itself (the paper's way), the whole body by least "
-        "squares (differentiable), or nothing: markers only",
+        "what follows the search for the elbows: each arm by itself (the paper's way), the whole "
+        "body by least squares (differentiable), or nothing; or no video at all: markers only",
     )
     search: bool = static(
         True,

@@ -8,6 +8,7 @@ INPUTS: a Model, Settings; markers and images over time. OUTPUTS: states, poses,
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from copy import copy
 from dataclasses import replace
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -123,6 +124,14 @@ class HybridTracker:
         cameras = [video.camera for video in recording.videos] if settings.refine != "none" else []
         sites = marker_sites(recording.skeleton, recording.places)
         return cls(recording.skeleton, cameras, settings, sites)
+
+    def by_search(self) -> "HybridTracker":
+        """The same, where nothing follows the search for the elbows."""
+        other = copy(self)
+        other._compiling = None
+        if self.settings.refine != "none":
+            other.settings = replace(self.settings, refine="search")
+        return other
 
     def init(self, markers_world: np.ndarray | Array) -> State:
         """The state before the first event, at rest on its (M, 3) markers; NaN where missing.

@@ -62,7 +62,7 @@ class Demonstration:
 
     @property
     def frames_per_second(self) -> float:
-        """Of the steps with a video frame, once compiled; NaN if there was none."""
+        """Over the whole recording, see ``frames_per_second``; NaN if it was not timed."""
         report = self.motion.report
         return float("nan") if report is None else frames_per_second(report)
 
@@ -73,7 +73,7 @@ class Demonstration:
 
     def table(self) -> str:
         """Elbow errors with video and without, and the rate, as text."""
-        rate = f"{self.frames_per_second:.0f} frames per second, once compiled"
+        rate = f"{self.frames_per_second:.0f} frames per second"
         return f"{format_table(self.with_video, self.markers_only)}\n\n{rate}"
 
     def as_dict(self) -> dict:

@@ -247,7 +247,7 @@ def refined_by(way: str, scene) -> tuple:
     return scene[0], in_double(replace(CHOSEN, refine=way)), *scene[1:]
 
 
-@pytest.mark.parametrize("way", ["simplex", "gradient"])
+@pytest.mark.parametrize("way", ["simplex", "gradient", "search"])
 def test_images_bring_the_elbows_nearer_and_without_them_the_pose_stays(way, scene):
     model, poses, _ = scene
     with double():

@@ -123,7 +123,8 @@ def test_stages_are_timed_apart_and_the_first_call_by_itself(tracked):
     assert {len(times[stage]) for stage in ("solve", "refine", "frame")} == {chunks}
     assert times["frame"].max() > max(times["observe"].min(), times["refine"].min())
     rate = frames_per_second(tracked.motion.report)
-    assert rate == pytest.approx(1e3 / np.median(times["frame"]))
+    each = np.median(times["frame"]) + times["smooth"][0] / frames
+    assert rate == pytest.approx(1e3 / each)
 
 
 def test_the_stages_of_live_steps_are_timed_event_by_event():
@@ -142,6 +143,21 @@ def test_the_report_holds_the_trackers_settings(tracked):
     assert used["markers"] == list(PLACES) and used["warnings"] == []
     assert used["tracker"]["refine"] == "simplex"
     assert used["tracker"]["simplex"]["iterations"] > 0
+
+
+def test_smoothing_over_a_recording_starts_at_the_search_and_says_so():
+    # What follows the search is never called, and where it was asked for there is a sentence.
+    recording, used = small_recording(), compiled().settings
+    one_pass = replace(used, refine="search", smooth=False)
+    searched = track_both(recording, one_pass)
+    both = track_both(recording, replace(used, refine="gradient"))
+    angles = [each.markers_only.poses.angles for each in (searched, both)]
+    np.testing.assert_array_equal(*angles)
+    np.testing.assert_array_equal(
+        both.motion.poses.angles, track(recording, tracker=compiled()).poses.angles
+    )
+    assert any("refinement by gradient" in s for s in both.motion.report.settings["warnings"])
+    assert both.motion.report.settings["tracker"]["refine"] == "gradient"
 
 
 def test_tracking_twice_with_one_tracker_gives_the_same(tracked):

@@ -17,8 +17,9 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
     add_refine(
         parser,
-        "how video refines the markers' pose: each arm by a simplex, the whole body by "
-        "least squares, or not at all (markers only)",
+        "what follows the search for the elbows in a video frame: each arm by a simplex, the whole "
+        "body by least squares, or nothing; or 'none': markers only. Smoothing over a whole "
+        "recording needs the search only",
     )
     mode = parser.add_mutually_exclusive_group()
     mode.add_argument(

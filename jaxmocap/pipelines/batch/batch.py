@@ -46,7 +46,7 @@ TABLES = ("corpus.csv", "failures.json")
 class TrackingOptions:
     """How recordings are tracked: the options of ``track``."""
 
-    refine: Literal["simplex", "gradient", "none"] = "simplex"
+    refine: Literal["simplex", "gradient", "search", "none"] = "simplex"
     evidence: Literal["outline", "coverage"] | None = None
     mode: Mode = "own"
 

@@ -85,7 +85,7 @@ def fit_recording(recording: Recording, progress: Progress | bool | None = None)
         events = RecordingEvents.of(opened.recording, opened.videos, "own", opened.cleaning)
         part = lambda done, total: show(round(36 * done / total), 100)  # noqa: E731
         with forward_readers(opened.videos) as readers:
-            first = scanned(events, tracker, readers, part, clock)
+            first = scanned(events, tracker.by_search(), readers, part, clock)
         solved = solve_recording(
             tracker.model,
             tracker.settings.smoothing,

@@ -3,10 +3,14 @@
     Recording ── events ── first pass: scanned, or stepped as if live ── smoothing ── Motion
                  (a marker sample, a video frame, or both at every event)
 
+Smoothing over a whole recording starts where the search has the elbows. What follows the search
+frame by frame, the simplex, brings it nothing: 4.77 cm without it, 4.79 with it over ten fencers.
+From the markers' poses, without the search, it ends at 6.2 cm.
+
 INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its Report.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
@@ -96,9 +100,11 @@ def track_both(
         if causal:
             first, final = stepped(events, tracker, readers, smoother, show, clock)
         else:
-            first, final = scanned(events, tracker, readers, show, clock), []
+            scanning = tracker.by_search() if smooth else tracker
+            first, final = scanned(events, scanning, readers, show, clock), []
     trajectory = gathered(final) if smoother else None
     if smooth and not causal:
+        opened = opened._replace(warnings=(*opened.warnings, *_without_part(tracker.settings)))
         with progress_bar("smoothing", progress) as show:
             trajectory = clock.timed(
                 "smooth", _smoothed, opened, events, tracker, first,
@@ -125,6 +131,15 @@ def _run_figures(
         "filters": opened.cleaning.figures(),
         "tracker": settings,
     }
+
+
+def _without_part(settings: Settings) -> Iterator[str]:
+    """A sentence if something was chosen that has no part where a whole recording is smoothed."""
+    if settings.refine == "gradient":
+        yield (
+            "refinement by gradient acts frame by frame and has no part in smoothing over a whole "
+            "recording: take --causal, --paper, or Settings(smooth=False)"
+        )
 
 
 class Opened(NamedTuple):
@@ -193,7 +208,7 @@ def make_tracker(recording: Recording, settings: Settings | None = None) -> Hybr
 
 
 def choose_settings(
-    refine: Literal["simplex", "gradient", "none"] = "simplex",
+    refine: Literal["simplex", "gradient", "search", "none"] = "simplex",
     evidence: Literal["outline", "coverage"] | None = None,
     paper: bool = False,
 ) -> Settings:
