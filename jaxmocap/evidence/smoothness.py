@@ -74,6 +74,19 @@ class Smoothness(NamedTuple):
             start=np.zeros(values.shape),
         )
 
+    def first(self, frames: int) -> "Smoothness":
+        """That of the first so many frames alone."""
+        widths = (each.coefficients.shape[1] for each in self.stencils)
+        pairs = zip(self.stencils, widths, strict=True)
+        cut = (each._replace(coefficients=each.coefficients[: max(0, frames - width + 1)])
+               for each, width in pairs)  # fmt: skip
+        return Smoothness(frames, tuple(cut))
+
+    def uniform_ties(self, ahead: int) -> np.ndarray:
+        """``Stencil.ties`` (T,) of any coordinate, where all have the same deviations."""
+        return sum((each.ties(ahead, self.frames)[:, 0] for each in self.stencils),
+                   start=np.zeros(self.frames))  # fmt: skip
+
     def block_rows(self, jacobian: np.ndarray) -> np.ndarray:
         """Its Hessian by the (T, M, N) derivative of the points, as ``banded`` keeps it."""
         rows = np.zeros((self.frames, jacobian.shape[2], (REACH + 1) * jacobian.shape[2]))

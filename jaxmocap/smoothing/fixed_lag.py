@@ -31,8 +31,9 @@ from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearanc
 from jaxmocap.smoothing.facing import RunningFacing
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import landmark_deviations
+from jaxmocap.smoothing.window.equations import WindowEquations
 from jaxmocap.smoothing.window.events import WindowEvent, expected_at
-from jaxmocap.smoothing.window.sliding import SOFTNESS, SolvedWindow, Window, offsets, stacked
+from jaxmocap.smoothing.window.sliding import SOFTNESS, Window, offsets, stacked
 from jaxmocap.solvers.fading import Fading
 
 # A pose is given out once so many later video frames came,
@@ -45,6 +46,8 @@ KEPT_FRAMES = 3
 KEPT_S = 0.2
 # Events that wait for the next video frame before the window is solved without one.
 MOST_WAITING = 6
+# Deviations are found anew for the poses given out at one in so many video frames.
+SURE_EVERY = 5
 # Time constant with which corrections fade in, seconds.
 FADE_S = 0.07
 # Events farther apart are no motion, seconds.
@@ -72,6 +75,21 @@ class StepReported(Protocol):
         ...
 
 
+class _Step(NamedTuple):
+    """A step of the tracker that waits for the next video frame; see ``FixedLagSmoother.step``."""
+
+    time: float
+    markers_world: np.ndarray | Array
+    images: Sequence[np.ndarray | None] | None
+    pose: Pose
+    report: StepReported
+
+    @property
+    def has_image(self) -> bool:
+        """Whether any camera has a new one."""
+        return any(image is not None for image in self.images or ())
+
+
 class SmoothedPose(NamedTuple):
     """A pose that stays as it is.
 
@@ -79,7 +97,8 @@ class SmoothedPose(NamedTuple):
         number: of its event, counted from 0.
         time: of its event, seconds.
         pose: smoothed.
-        deviations: (L, 3) standard deviations of the landmarks' coordinates, world, metres.
+        deviations: (L, 3) standard deviations of the landmarks' coordinates, world, metres; found
+            anew at every ``SURE_EVERY``th video frame.
         from_prior: (L,) 1 where markers and video leave a landmark almost as uncertain as it is
             without them, else 0.
     """
@@ -123,12 +142,13 @@ class FixedLagSmoother:
     def _begin(self) -> None:
         """No events, no marginal prior; the learned room and the person's colours stay."""
         self._window.begin()
-        self._marker_pose: Pose | None = None
+        self._marker_pose: np.ndarray | None = None
         self._facing = RunningFacing()
         self._fading: Fading | None = None
         # Number, time and pose of the event given out last, and of one beside it.
         self._last_given: list[tuple[int, float, Pose]] = []
-        self._waiting = 0
+        self._waiting: list[_Step] = []
+        self._frames_since_sure, self._sure = SURE_EVERY, None
 
     def step(
         self,
@@ -153,55 +173,52 @@ class FixedLagSmoother:
             What is final now: of no event, or of some, in order.
         """
         final: list[SmoothedPose] = []
-        lost = bool(report.placed) or (
-            bool(self._window.events) and time - self._window.events[-1].time > LONGEST_GAP_S
-        )
-        if self._window.events and lost:
+        last = self._last_time()
+        if last is not None and (bool(report.placed) or time - last > LONGEST_GAP_S):
             final += self.flush()
-        self._window.events.append(self._event(time, markers_world, images, pose, report))
-        self._waiting = 0 if self._window.events[-1].frames else self._waiting + 1
-        if self._waiting in range(1, MOST_WAITING):
+        self._waiting.append(_Step(float(time), markers_world, images, pose, report))
+        if len(self._waiting) < MOST_WAITING and not self._waiting[-1].has_image:
             return final
-        self._waiting = 0
         return final + self._settle(final=False)
 
     def flush(self) -> list[SmoothedPose]:
         """The poses that still wait, as they are; the next step begins a new motion."""
-        given = self._settle(final=True) if self._window.events else []
+        given = self._settle(final=True) if self._last_time() is not None else []
         self._begin()
         return given
 
-    def _event(
-        self,
-        time: float,
-        markers_world: np.ndarray | Array,
-        images: Sequence[np.ndarray | None] | None,
-        pose: Pose,
-        report: StepReported,
-    ) -> WindowEvent:
-        """A step with the pose that is expected there, and what the cameras saw about it."""
-        dtype = self.model.dtype
-        both = (pose, report.marker_pose)
-        first, alone = (Pose._make(np.asarray(p, dtype) for p in each) for each in both)
-        last = self._window.events[-1] if self._window.events else None
-        before = alone if last is None or self._marker_pose is None else self._marker_pose
-        three = [np.concatenate(each) for each in (last.pose if last else first, before, alone)]
-        expected = expected_at(self.model.skeleton, np.stack(three))
-        self._marker_pose = alone
-        facing = self._facing.step(
-            np.asarray(expected.ahead), 0.0 if last is None else time - last.time
-        )
-        measured = {
-            "markers": np.asarray(markers_world, dtype),
-            "upright": expected.upright,
-            "facing": facing.astype(dtype),
-            "ankles": expected.ankles,
-            "elbows": self._no_goals,
-        }
-        frames = self._frames(images, expected.pose)
-        number, self._count = self._count, self._count + 1
-        deviations = np.asarray(report.elbow_deviations, float)
-        return WindowEvent(number, float(time), measured, expected.pose, first, deviations, frames)
+    def _last_time(self) -> float | None:
+        """Of the last step of this motion, seconds."""
+        steps = [*self._window.events[-1:], *self._waiting[-1:]]
+        return steps[-1].time if steps else None
+
+    def _gather(self) -> None:
+        """The steps that wait, with the poses that are expected there and what cameras saw."""
+        if not self._waiting:
+            return
+        dtype, waiting, self._waiting = self.model.dtype, self._waiting, []
+        alone = [stacked([step.report.marker_pose])[0].astype(dtype) for step in waiting]
+        first = [Pose._make(np.asarray(p, dtype) for p in step.pose) for step in waiting]
+        events, before = self._window.events, self._marker_pose
+        last = np.concatenate(events[-1].pose if events else first[0])
+        before = alone[0] if before is None else before
+        expected = expected_at(self.model.skeleton, last, before, alone)
+        self._marker_pose = alone[-1]
+        for step, own, there in zip(waiting, first, expected, strict=True):
+            elapsed = step.time - events[-1].time if events else 0.0
+            facing = self._facing.step(np.asarray(there.ahead), elapsed)
+            measured = {
+                "markers": np.asarray(step.markers_world, dtype),
+                "upright": there.upright,
+                "facing": facing.astype(dtype),
+                "ankles": there.ankles,
+                "elbows": self._no_goals,
+            }
+            frames = self._frames(step.images, there.pose)
+            number, self._count = self._count, self._count + 1
+            deviations = np.asarray(step.report.elbow_deviations, float)
+            event = WindowEvent(number, step.time, measured, there.pose, own, deviations, frames)
+            events.append(event)
 
     def _frames(
         self, images: Sequence[np.ndarray | None] | None, pose: Pose
@@ -224,29 +241,38 @@ class FixedLagSmoother:
     def _settle(self, final: bool) -> list[SmoothedPose]:
         """Solve the window, give out what has waited long enough, forget and learn."""
         # Band matrices are narrow: BLAS's threads would only wait for one another.
+        self._gather()
         with self._blas.limit(limits=1, user_api="blas"):
             solved = self._window.solve()
-            given = self._give(solved, final)
+            given = self._give(final)
             self._shorten(solved)
         self._learn()
         return given
 
-    def _give(self, solved: SolvedWindow, final: bool) -> list[SmoothedPose]:
+    def _give(self, final: bool) -> list[SmoothedPose]:
         """What has waited long enough, and all of it in the end."""
         events = self._window.events
         ready = [i for i in self._due(final) if events[i].number >= self._given]
         if not ready:
             return []
-        mismatch = float(self.settings.mismatch)
-        sure = landmark_deviations(*self._window.variances(solved, ready), mismatch)
+        deviations, from_prior = self._deviations(ready[-1])
         self._correct()
         given = [
-            SmoothedPose(event.number, event.time, self._faded(event), *each)
-            for event, *each in zip([events[i] for i in ready], *sure, strict=True)
+            SmoothedPose(event.number, event.time, self._faded(event), deviations, from_prior)
+            for event in [events[i] for i in ready]
         ]
         self._keep_last(ready[-1])
         self._given = given[-1].number + 1
         return given
+
+    def _deviations(self, newest: int) -> tuple[np.ndarray, np.ndarray]:
+        """Of what is given out with an event, found anew every few frames."""
+        self._frames_since_sure += 1
+        if self._sure is None or self._frames_since_sure >= SURE_EVERY:
+            variances = self._window.variances([newest])
+            each = landmark_deviations(*variances, float(self.settings.mismatch))
+            self._sure, self._frames_since_sure = (each[0][0], each[1][0]), 0
+        return self._sure
 
     def _due(self, final: bool) -> list[int]:
         """Which events of the window have waited long enough."""
@@ -287,7 +313,7 @@ class FixedLagSmoother:
         far = [event for event in beside if abs(event.time - here.time) >= BASELINE_S]
         self._last_given = [(e.number, e.time, e.pose) for e in (here, *far[:1])]
 
-    def _shorten(self, solved: SolvedWindow) -> None:
+    def _shorten(self, solved: WindowEquations) -> None:
         """Condense the oldest events: the newest few video frames stay, and what still waits."""
         events, count = self._window.events, 0
         while len(events) - count > 3 and events[count].number < self._given - 1:

@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxmocap.evidence.smoothness import REACH, Smoothness
-from jaxmocap.smoothing.marginal_prior import MarginalPrior, with_marginal
+from jaxmocap.evidence.smoothness import Smoothness
 from jaxmocap.solvers.arrow import BandedStep, Covariances, Equations
 from jaxmocap.solvers.banded import NotPositiveDefinite
 from jaxmocap.solvers.status import Status
@@ -90,26 +89,6 @@ class SolverSettings(NamedTuple):
 DEFAULTS = SolverSettings()
 
 
-class Marginal(NamedTuple):
-    """A marginal prior, and how far a trajectory's first frames are from where it was made.
-
-    Attributes:
-        prior: evidence of earlier frames about the first ones.
-        offset: a trajectory to (2 N,) tangent components.
-    """
-
-    prior: MarginalPrior
-    offset: Callable[[Any], np.ndarray]
-
-    def cost(self, x: Any) -> float:
-        """At a trajectory, but for a constant."""
-        return self.prior.cost(self.offset(x))
-
-    def added(self, equations: Equations, x: Any) -> Equations:
-        """The equations with it."""
-        return with_marginal(equations, self.prior, self.offset(x))
-
-
 class Solution(NamedTuple):
     """How a solve ended.
 
@@ -142,7 +121,6 @@ def minimise(
     start: Any,
     prior: Smoothness,
     settings: SolverSettings = DEFAULTS,
-    marginal: Marginal | None = None,
 ) -> Solution:
     """Minimise the frames' costs plus the priors over a whole trajectory.
 
@@ -155,15 +133,13 @@ def minimise(
         move: trajectory, steps (T, N) and shared step (P,), float64 arrays both, to trajectory.
         start: a trajectory: anything that the two of them understand.
         prior: of the points' motion.
-        settings: of the solve; with a marginal prior, whose cost has an unknown constant,
-            ``relative`` is 0.
-        marginal: evidence of earlier frames.
+        settings: of the solve.
     """
 
     def place(x: Any) -> _Place:
         linear = linearise(x)
         cost = float(_double(linear.cost).sum()) + prior.cost(_double(linear.points))
-        return _Place(x, linear, cost + (0.0 if marginal is None else marginal.cost(x)))
+        return _Place(x, linear, cost)
 
     def moved_by(x: Any, step: BandedStep) -> _Place:
         return place(move(x, step.frames, step.shared))
@@ -172,8 +148,6 @@ def minimise(
     state = Solution(start, here.linear, here.cost, 0, 1, settings.damping, Status.OUT_OF_STEPS)
     while state.status == Status.OUT_OF_STEPS and state.iterations < settings.iterations:
         equations = normal_equations(here.linear, prior)
-        if marginal is not None:
-            equations = marginal.added(equations, here.x)
         state = state._replace(iterations=state.iterations + 1)
         if not (np.isfinite(here.cost) and equations.finite()):
             return state._replace(x=start, status=Status.BROKEN)
@@ -230,20 +204,6 @@ def normal_equations(linearised: Linearised, prior: Smoothness) -> Equations:
         np.einsum("tii->i", hessian) / frames + PRIORS_SHARE * stiffness,
         np.diag(shared) + PRIORS_SHARE * np.diag(corner[:, 1:]),
     )
-
-
-def leaving(linear: Linearised, prior: Smoothness) -> Equations:
-    """Evidence of a window's first frames that leaves it with all of them but the last two.
-
-    Args:
-        linear: of the window, about its present states.
-        prior: of the motion of those first frames.
-    """
-    parts = [np.array(part, float)[: prior.frames] for part in linear[:5]]
-    # The last two frames' own terms stay in the window.
-    for own in parts[1:3]:
-        own[-REACH:] = 0
-    return normal_equations(Linearised(*parts), prior)
 
 
 class _Place(NamedTuple):

@@ -10,7 +10,7 @@ INPUTS: block rows, right-hand sides. OUTPUTS: solutions, blocks of the inverse.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import cho_solve_banded, cholesky_banded, get_lapack_funcs
 
 # LinAlgError, which ``factorise`` raises, by a name of ours.
 NotPositiveDefinite = np.linalg.LinAlgError
@@ -63,11 +63,19 @@ def factorise(rows: np.ndarray, ridge: np.ndarray | float = 0.0) -> Factor:
     return Factor(band.T, len(rows))
 
 
+def forward_factored(factor: Factor, right: np.ndarray) -> np.ndarray:
+    """(T * N,) y of L y = right, (T, N)."""
+    columns = factor.columns
+    (triangular,) = get_lapack_funcs(("tbtrs",), (columns,))
+    answer, _ = triangular(columns.T, right.reshape(-1, 1), uplo="L")
+    return answer[:, 0]
+
+
 def solve_factored(factor: Factor, right: np.ndarray) -> np.ndarray:
     """Solutions (T, N, K) of K right-hand sides (T, N, K)."""
     if not right.size:
         return np.zeros(right.shape)
-    flat = np.asfortranarray(right.reshape(len(factor.columns), -1))
+    flat = np.array(right.reshape(len(factor.columns), -1), order="F")
     band = (factor.columns.T, True)
     return cho_solve_banded(band, flat, overwrite_b=True, check_finite=False).reshape(right.shape)
 

@@ -1,7 +1,5 @@
 """Smoothing with a fixed lag: calm, causal, and complete whatever is missing."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 
 import jax
@@ -20,25 +18,18 @@ from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes
-from jaxmocap.evidence.smoothness import smoothness
 from jaxmocap.hybrid.refine import StepReport
-from jaxmocap.smoothing import fixed_lag, marginal_prior
+from jaxmocap.smoothing import fixed_lag
 from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, FixedLagSmoother, SmoothedPose
-from jaxmocap.smoothing.levenberg_marquardt import (
-    Linearised,
-    Marginal,
-    SolverSettings,
-    covariances,
-    leaving,
-    minimise,
-    normal_equations,
-)
 from jaxmocap.smoothing.linearise import smooth_poses
-from jaxmocap.smoothing.marginal_prior import condensed, window_variances
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.window import sliding
-from jaxmocap.solvers.arrow import Equations
+from jaxmocap.smoothing.window.equations import (
+    LinearEvent,
+    SilhouetteQuadratic,
+    window_equations,
+)
 from jaxmocap.solvers.fading import Fading
 
 COUNT = 24
@@ -256,8 +247,8 @@ def test_a_window_over_everything_agrees_with_the_second_pass(monkeypatch):
     problem = SmoothingProblem(smoother.model, smoother.settings, TIMES[:count], measured, views)
     usual = np.zeros(len(PROPORTIONS), np.float32)
     offline = smooth_poses(problem, Trajectory(start, usual), (sliding.SOFTNESS,))
-    many = sliding.ONE_STEP._replace(iterations=30, relative=1e-7)
-    monkeypatch.setattr(sliding, "ONE_STEP", many)
+    for _ in range(30):
+        smoother._window.solve()
     online = poses_of(smoother.flush())
     off = points_of(online) - points_of(offline.trajectory.poses)
     assert np.abs(off).max() < 0.01
@@ -265,110 +256,78 @@ def test_a_window_over_everything_agrees_with_the_second_pass(monkeypatch):
 
 # The window --------------------------------------------------------------------------------------
 
-N, T = 2, 9
+N, T, ACCELERATION = 2, 14, 3.0
 
 
-@contextmanager
-def without_floor() -> Iterator[None]:
-    """No curvature but that of the frames and their prior: all of them determine all unknowns."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(marginal_prior, "FLOOR", 0.0)
-        yield
-
-
-def chain(rng: np.random.Generator):
-    """Frames of N unknowns, straight-line problems: what is solved once is solved."""
+def chain(rng: np.random.Generator) -> tuple[list[LinearEvent], np.ndarray]:
+    """Events of N unknowns, straight-line problems: what is solved once is solved."""
     times = np.cumsum(rng.uniform(0.01, 0.05, T))
-    A = rng.normal(size=(T, 3, N)) * rng.uniform(0.1, 3, (T, 1, 1))
-    b, J = rng.normal(size=(T, 3)), rng.normal(size=(T, 2, N)) + 2 * np.eye(2)
-
-    def linearise(rows: slice):
-        def of(x: np.ndarray) -> Linearised:
-            r = np.einsum("tij,tj->ti", A[rows], x) - b[rows]
-            return Linearised(
-                np.sum(r**2, 1),
-                np.einsum("tia,tib->tab", A[rows], A[rows]),
-                np.einsum("tia,ti->ta", A[rows], r),
-                np.einsum("tij,tj->ti", J[rows], x),
-                J[rows],
-            )
-
-        return of
-
-    return times, linearise
+    events = []
+    for _ in range(T):
+        A, b = rng.normal(size=(3, N)) * rng.uniform(0.1, 3), rng.normal(size=3)
+        J = rng.normal(size=(2, N)) + 2 * np.eye(2)
+        drawn, points = rng.normal(size=(3, N)), rng.normal(size=2)
+        step = rng.normal(size=N)
+        silhouettes = SilhouetteQuadratic(points, 1.0, drawn.T @ drawn, drawn.T @ b, step)
+        events.append(LinearEvent(np.zeros(N), b @ b, A.T @ A, A.T @ b, points, J, silhouettes))
+    return events, times
 
 
-@settings(max_examples=20, deadline=None)
-@given(st.integers(0, 10**6))
-def test_a_window_with_a_marginal_prior_is_as_good_as_the_whole_chain(seed):
-    with without_floor():
-        compare_with_the_whole_chain(seed)
+def equations_of(events, times, marginal=None, share=1.0):
+    return window_equations(events, times, ACCELERATION, marginal, share)
 
 
-def compare_with_the_whole_chain(seed):
-    """Event after event, the last four in the window; then states and variances of these."""
-    times, linearise = chain(np.random.default_rng(seed))
-    exact = SolverSettings(iterations=20, damping=1e-12, relative=1e-14, floor=1e-12)
-    window_exact = exact._replace(relative=0.0)
-    deviations, every = np.full(2, 3.0), linearise(slice(None))
-    prior = smoothness(times, deviations)
-
-    full = minimise(every, lambda x, s, _: x + s, np.zeros((T, N)), prior, exact)
-    spread = covariances(every(full.x), prior, exact).frames
-    x, prior_before, origin, first = np.zeros((4, N)), None, None, 0
-    while True:
-        rows = slice(first, first + len(x))
-        window = smoothness(times[rows], deviations)
-        offset = lambda x, o=origin: np.zeros(0) if o is None else (x[:2] - o).ravel()  # noqa: E731
-        marginal = None if prior_before is None else Marginal(prior_before, offset)
-        better = minimise(linearise(rows), lambda x, s, _: x + s, x, window, window_exact, marginal)
-        if first + 4 == T:
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), st.lists(st.integers(0, 4), min_size=1, max_size=4))
+def test_a_window_with_a_marginal_prior_is_as_good_as_the_whole_chain(seed, leaving):
+    """Some leave at a time; states and variances of those that stay, and what moved in between."""
+    events, times = chain(np.random.default_rng(seed))
+    whole = equations_of(events, times)
+    marginal, first = None, 0
+    for count in leaving:
+        last = min(first + count + 3, T)
+        if last - first - count < 3:
             break
-        three = smoothness(times[first : first + 3], deviations)
-        prior_before = condensed(leaving(better.linear, three), prior_before, offset(better.x))
-        first, origin = first + 1, better.x[1:3]
-        x = np.concatenate([better.x[1:], np.zeros((1, N))])
-    np.testing.assert_allclose(better.x, full.x[-4:], atol=1e-6)
-    jacobian = np.asarray(better.linear.jacobian)
-    expected = np.einsum("tmi,tij,tmj->tm", jacobian, spread[-4:], jacobian)
-    equations = normal_equations(better.linear, window)
-    actual = window_variances(equations, jacobian, prior_before, np.arange(4))
-    np.testing.assert_allclose(actual, expected, rtol=1e-4)
+        window = equations_of(events[first:last], times[first:last], marginal)
+        marginal, first = window.condensed(count), first + count
+    rest = equations_of(events[first:], times[first:], marginal)
+    np.testing.assert_allclose(rest.steps(0.0), whole.steps(0.0)[first:], atol=1e-6)
+    rows = range(T - first)
+    variances = whole.variances(range(T))[first:]
+    np.testing.assert_allclose(rest.variances(rows), variances, rtol=1e-5)
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
-def test_several_frames_are_condensed_at_once_as_one_after_the_other(seed):
-    with without_floor():
-        condense_one_by_one_and_at_once(seed)
-
-
-def condense_one_by_one_and_at_once(seed):
-    """Four frames, of which two leave."""
+def test_steps_lead_to_the_least_cost_and_damping_makes_them_shorter(seed):
     rng = np.random.default_rng(seed)
-    times, linearise = chain(rng)
-    x = rng.normal(size=(T, N))
-    linear, deviations = linearise(slice(None))(x), np.full(2, 3.0)
-
-    def some(rows: slice) -> Equations:
-        parts = Linearised(*(np.asarray(part)[rows] for part in linear[:5]))
-        return leaving(parts, smoothness(times[rows], deviations))
-
-    first = condensed(some(slice(0, 3)), None, np.zeros(0))
-    second = condensed(some(slice(1, 4)), first, np.zeros(2 * N))
-    both = condensed(some(slice(0, 4)), None, np.zeros(0))
-    for together, apart in zip(both, second, strict=True):
-        np.testing.assert_allclose(together, apart, rtol=1e-8, atol=1e-8 * np.abs(apart).max())
+    events, times = chain(rng)
+    equations = equations_of(events, times)
+    steps = equations.steps(0.0)
+    least = equations.cost(steps)
+    assert all(equations.cost(steps + rng.normal(0, 0.1, (T, N))) > least for _ in range(5))
+    damped = equations.steps(10.0)
+    assert np.linalg.norm(damped) < np.linalg.norm(steps)
+    assert least < equations.cost(damped) < equations.cost(0 * steps)
 
 
-def test_what_nothing_determines_has_no_finite_variance():
-    nothing = np.zeros((1, 2, 2))
-    linear = Linearised(np.zeros(1), nothing, nothing[:, 0], nothing[:, 0], np.eye(2)[None])
-    prior = smoothness(np.zeros(1), np.full(2, 3.0))
-    equations = normal_equations(linear, prior)
-    with without_floor():
-        actual = window_variances(equations, linear.jacobian, None, np.arange(1))
-    assert np.isinf(actual).all()
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6))
+def test_a_marginal_prior_goes_along_with_the_poses_that_it_is_about(seed):
+    rng = np.random.default_rng(seed)
+    events, times = chain(rng)
+    marginal = equations_of(events, times).condensed(3)
+    there, further = rng.normal(size=(2, 2, N))
+    both = marginal.cost(there + further) - marginal.cost(there)
+    assert marginal.about(there).cost(further) == pytest.approx(both, rel=1e-9, abs=1e-9)
+
+
+def test_silhouettes_that_count_less_leave_more_uncertain():
+    events, times = chain(np.random.default_rng(0))
+    all_of_it, little, nothing = (
+        equations_of(events, times, share=share).variances(range(T)) for share in (1.0, 0.01, 0.0)
+    )
+    assert (all_of_it < little).all() and (little < nothing).all()
 
 
 # Fading ------------------------------------------------------------------------------------------

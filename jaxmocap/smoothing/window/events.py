@@ -1,27 +1,34 @@
 """Events that can still change: what a window keeps of each.
 
-INPUTS: what a step of a tracker measured and found. OUTPUTS: WindowEvents; their state in a solve.
+INPUTS: what a step of a tracker measured and found. OUTPUTS: WindowEvents; what is expected there.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import landmarks
-from jaxmocap.body.pose import Pose, difference, retract, unpack
+from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.packing import packed, unpacked
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.running import MeasuredFrame
 from jaxmocap.evidence.ground import ANKLES
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.rotations import quaternion_to_matrix
-from jaxmocap.smoothing.levenberg_marquardt import Linearised
+from jaxmocap.smoothing.window.equations import LinearEvent
 
 # Of what an ``Expected`` holds beside the pose.
 _EXPECTED_SHAPES = np.empty(2), np.empty(2), np.empty((2, 3))
+# Events per call, so that they compile once.
+EXPECTED_A_CALL = 4
+MOVED_A_CALL = 8
 
 
 class Expected(NamedTuple):
@@ -40,49 +47,57 @@ class Expected(NamedTuple):
     ankles: Array | np.ndarray
 
 
-def expected_at(skeleton: Skeleton, poses: np.ndarray) -> Expected:
-    """The last pose moved as the markers' pose moved; where that faces and leans; its ankles.
+def expected_at(
+    skeleton: Skeleton, last: np.ndarray, before: np.ndarray, alone: Sequence[np.ndarray]
+) -> list[Expected]:
+    """At some events in turn: the last pose moved as the markers' poses moved, and what those tell.
 
     Args:
         skeleton: D degrees of freedom.
-        poses: (3, 7 + D) packed: the last pose, the markers' pose there, and their pose now.
+        last: (7 + D,) packed, the last pose.
+        before: the markers' pose there.
+        alone: their pose at each event.
     """
-    vector = np.asarray(_expected(skeleton, poses))
-    return unpacked(vector, Expected(unpack(poses[0]), *_EXPECTED_SHAPES))
+    shapes, result = Expected(unpack(last), *_EXPECTED_SHAPES), []
+    for first in range(0, len(alone), EXPECTED_A_CALL):
+        some = alone[first : first + EXPECTED_A_CALL]
+        filled = [*some, *[some[-1]] * (EXPECTED_A_CALL - len(some))]
+        vectors = np.asarray(_expected(skeleton, last, np.stack([before, *filled])))
+        result += [unpacked(vector, shapes) for vector in vectors[: len(some)]]
+        last, before = np.concatenate(result[-1].pose), some[-1]
+    return result
 
 
 @program("quick")
-def _expected(skeleton: Skeleton, poses: Array) -> Array:
-    """``expected_at``, packed."""
-    last, before, alone = (unpack(each) for each in poses)
-    ankles = landmarks(skeleton, alone)[ANKLES]
-    moved = retract(last, difference(alone, before))
-    R = quaternion_to_matrix(alone.quaternion)
-    return packed(Expected(moved, R[:2, 0], R[:2, 2], ankles))
+def _expected(skeleton: Skeleton, last: Array, alone: Array) -> Array:
+    """Packed ``Expected`` (E, ...) of the markers' poses (1 + E, 7 + D), of which one is before."""
+
+    def one(pose: Pose, pair: tuple[Array, Array]) -> tuple[Pose, Array]:
+        before, now = map(unpack, pair)
+        moved = retract(pose, difference(now, before))
+        R = quaternion_to_matrix(now.quaternion)
+        told = Expected(moved, R[:2, 0], R[:2, 2], landmarks(skeleton, now)[ANKLES])
+        return moved, packed(told)
+
+    return jax.lax.scan(one, unpack(last), (alone[:-1], alone[1:]))[1]
 
 
-class SilhouetteQuadratic(NamedTuple):
-    """What an event's silhouettes cost near a pose where they were drawn.
+def moved(
+    skeleton: Skeleton, poses: np.ndarray, steps: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Packed poses (T, 7 + D) moved by steps (T, N), and the landmarks (T, 3 L) there."""
+    dtype = poses.dtype
+    each = poses, steps.astype(dtype)
+    there, points = in_batches(lambda *batch: _moved(skeleton, *batch), each, MOVED_A_CALL)
+    return there.astype(dtype), points
 
-    Attributes:
-        points: (3 L,) the landmarks there, world, metres.
-        cost: () of it there.
-        hessian: (N, N) of half the cost, by the pose's tangent vector.
-        gradient: (N,) likewise.
-        offset: (N,) of the present pose.
-    """
 
-    points: np.ndarray
-    cost: float
-    hessian: np.ndarray
-    gradient: np.ndarray
-    offset: np.ndarray
-
-    def here(self) -> tuple[float, np.ndarray]:
-        """Cost and gradient at the present pose."""
-        turn = self.hessian @ self.offset
-        rise = float(self.offset @ (2 * self.gradient + turn))
-        return self.cost + rise, self.gradient + turn
+@program("quick")
+def _moved(skeleton: Skeleton, poses: Array, steps: Array) -> tuple[Array, Array]:
+    """Packed poses (T, 7 + D) moved by steps (T, N), and the landmarks (T, 3 L) there."""
+    there = retract(unpack(poses), steps)
+    points = jax.vmap(landmarks, (None, 0))(skeleton, there)
+    return pack(there), jnp.reshape(points, (len(points), -1))
 
 
 @dataclass
@@ -97,7 +112,8 @@ class WindowEvent:
         first: as the tracker found it.
         elbow_deviations: (2,) the tracker's, metres.
         frames: camera, what was measured in its frame, width and height of that.
-        quadratic: of the silhouettes when they were last drawn; None before.
+        linear: all that it costs, about a pose near by; None before the first solve.
+        step: (N,) from that pose to the present one.
         learned: whether the frames were learned from.
     """
 
@@ -108,30 +124,6 @@ class WindowEvent:
     first: Pose
     elbow_deviations: np.ndarray
     frames: list[tuple[int, MeasuredFrame, tuple[int, int]]]
-    quadratic: SilhouetteQuadratic | None = None
+    linear: LinearEvent | None = None
+    step: np.ndarray = field(default_factory=lambda: np.zeros(0))
     learned: bool = False
-
-
-@dataclass
-class WindowState:
-    """The window's events in certain poses.
-
-    Attributes:
-        poses: (T, 7 + D) packed, of which each is moved by
-        steps: (T, N), until linearising has done so.
-        quadratics: of each event's silhouettes, at poses near by.
-        linear: the events there, once it was asked for.
-    """
-
-    poses: np.ndarray
-    steps: np.ndarray
-    quadratics: list[SilhouetteQuadratic | None]
-    linear: Linearised | None = None
-
-    def moved(self, steps: np.ndarray, _: np.ndarray | None = None) -> "WindowState":
-        """The same events some steps (T, N) on; what was drawn stays where it was."""
-        quadratics = [
-            None if each is None else each._replace(offset=each.offset + step)
-            for each, step in zip(self.quadratics, steps, strict=True)
-        ]
-        return WindowState(self.poses, steps, quadratics)

@@ -1,14 +1,14 @@
 """The newest events of a live run as one small problem: their poses, and a marginal prior.
 
-What the silhouettes of an event cost is a quadratic about the pose where they were drawn; while the
-event stays near by it holds, and nothing is drawn again.
+All events are linearised once a solve, which is then one linear problem. What the silhouettes of an
+event cost is a quadratic about the pose where they were drawn; while the event stays near by,
+nothing is drawn again.
 
 INPUTS: events with what was measured. OUTPUTS: their poses, variances of their landmarks.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,27 +17,24 @@ from jax import Array
 
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
+from jaxmocap.body.pose import Pose, difference, unpack
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes, silhouette_fit
-from jaxmocap.evidence.smoothness import REACH, Smoothness, smoothness
+from jaxmocap.evidence.smoothness import REACH
 from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.smoothing.levenberg_marquardt import (
-    Linearised,
-    Marginal,
-    Solution,
-    SolverSettings,
-    leaving,
-    minimise,
-    normal_equations,
-)
 from jaxmocap.smoothing.linearise import frames_fit
-from jaxmocap.smoothing.marginal_prior import MarginalPrior, condensed, weakened, window_variances
 from jaxmocap.smoothing.settings import SmoothingSettings
-from jaxmocap.smoothing.window.events import SilhouetteQuadratic, WindowEvent, WindowState
+from jaxmocap.smoothing.window.equations import (
+    LinearEvent,
+    MarginalPrior,
+    SilhouetteQuadratic,
+    WindowEquations,
+    window_equations,
+)
+from jaxmocap.smoothing.window.events import WindowEvent, moved
 
 # Cells over which silhouettes fade.
 SOFTNESS = 1.0
@@ -46,28 +43,16 @@ RIVAL_M = 0.1
 # and is so sure of it, metres; it must cost so much less;
 RIVAL_DEVIATION_M = 0.06
 RIVAL_GAIN = 5.0
-# and no more often than every so many video frames.
+# and no more often than every so many video frames. It makes so many steps.
 RIVAL_EVERY = 2
-# One step for each event. The marginal prior's cost has an unknown constant: no share of it counts.
-ONE_STEP = SolverSettings(iterations=1, attempts=4, growth=1000.0, relative=0.0, step=0.0)
-RIVAL_STEPS = ONE_STEP._replace(iterations=3)
+RIVAL_STEPS = 3
+# Share of the events' own curvature that holds them back.
+DAMPING = 1e-3
 # Events per call, so that they compile once.
 EVENTS_A_CALL = 16
 # A silhouette's quadratic holds while no landmark moves farther than this, metres: a fraction of a
 # cell, over which its borders fade.
 NEAR_M = 0.008
-
-
-class SolvedWindow(NamedTuple):
-    """Where a solve led.
-
-    Attributes:
-        solution: the events, linearised about their poses.
-        silhouettes: (T, N, N) the silhouettes' share of the Hessian.
-    """
-
-    solution: Solution
-    silhouettes: np.ndarray
 
 
 @program("quick")
@@ -84,11 +69,11 @@ def _landmarks(skeleton: Skeleton, poses: Array) -> Array:
 
 @program("quick")
 def _events_fit(
-    terms: tuple[Term, ...], model: Model, poses: Array, steps: Array, measured: Measurements
+    terms: tuple[Term, ...], model: Model, poses: Array, measured: Measurements
 ) -> tuple[Array, ...]:
-    """Packed poses (T, 7 + D) moved by steps (T, N), and their ``FramesFit``."""
-    moved, stated = retract(unpack(poses), steps), jnp.zeros(0, steps.dtype)
-    return pack(moved), *frames_fit(terms, model, stated, moved, measured)
+    """``FramesFit`` of packed poses (T, 7 + D)."""
+    stated = jnp.zeros(0, poses.dtype)
+    return tuple(frames_fit(terms, model, stated, unpack(poses), measured))
 
 
 @program("full")
@@ -132,9 +117,8 @@ class Window:
         # Frames look at no camera: one crossing less for each of its arrays.
         self._blind = replace(model, cameras=None)
         self.cameras = [model.camera(index) for index in range(model.camera_count)]
-        # Of the silhouettes, in what poses follow from; and, for deviations, with cells that err
-        # alike, and without any.
-        self._weights = (1.0, 1 / float(settings.silhouettes.redundancy), 0.0)
+        # What of the silhouettes counts in deviations: cells that err alike count once; and none.
+        self._shares = (1 / float(settings.silhouettes.redundancy), 0.0)
         self.begin()
 
     def begin(self) -> None:
@@ -144,107 +128,88 @@ class Window:
         self._since_rival = RIVAL_EVERY
 
     def _forget(self) -> None:
-        self._priors: tuple[MarginalPrior | None, ...] = (None,) * len(self._weights)
-        self._origin: np.ndarray | None = None
+        self._marginal: MarginalPrior | None = None
+        # Of deviations: a marginal prior each, and events that left since it was made.
+        self._sure: tuple[MarginalPrior | None, ...] = (None,) * len(self._shares)
+        self._left: list[tuple[float, LinearEvent]] = []
 
-    def solve(self) -> SolvedWindow:
-        """Move all events' poses a step on, or to where the tracker's own opinion leads."""
-        solved = self._rival() or self._steps(self._state(), self._priors[0], ONE_STEP)
-        for i, event in enumerate(self.events):
-            event.pose = unpack(solved.solution.x.poses[i])
-            event.quadratic = solved.solution.x.quadratics[i]
-        return solved
+    def solve(self) -> WindowEquations:
+        """Move all events' poses to where they cost least; the equations that say so."""
+        self._linearise()
+        equations = self._rival() or self._equations()
+        # The motion prior ties three events; fewer stay where they are expected.
+        if len(self.events) > REACH:
+            self._move(equations.steps(DAMPING))
+        return equations
 
-    def variances(self, solved: SolvedWindow, chosen: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    def variances(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """(F, L, 3) of the landmarks of some events: given all, and without the silhouettes."""
-        linear, frames = solved.solution.linear, np.array(chosen)
-        equations = normal_equations(linear, self._motion_prior())
-        jacobian, share = np.asarray(linear.jacobian), solved.silhouettes
-        given_all, without = (
-            window_variances(weakened(equations, (1 - weight) * share), jacobian, prior, frames)
-            for weight, prior in list(zip(self._weights, self._priors, strict=True))[1:]
-        )
-        shape = len(chosen), len(LANDMARKS), 3
-        return given_all.reshape(shape), without.reshape(shape)
+        left, now = len(self._left), [(e.time, _linear(e)) for e in self.events]
+        times, events = zip(*self._left, *now, strict=True)
+        equations = [
+            window_equations(events, np.array(times), self._acceleration, prior, share)
+            for share, prior in zip(self._shares, self._sure, strict=True)
+        ]
+        rows, shape = [left + i for i in chosen], (len(chosen), len(LANDMARKS), 3)
+        given_all, without = (each.variances(rows).reshape(shape) for each in equations)
+        if left:
+            self._sure = tuple(each.condensed(left) for each in equations)
+            self._left = []
+        return given_all, without
 
-    def drop(self, solved: SolvedWindow, count: int) -> list[WindowEvent]:
+    def drop(self, equations: WindowEquations, count: int) -> list[WindowEvent]:
         """Condense the oldest events, at least three being left, and hand them back."""
         if not count:
             return []
-        offset = self._offset(solved.solution.x)
-        gone = leaving(solved.solution.linear, self._motion_prior(count + REACH))
-        self._priors = tuple(
-            condensed(weakened(gone, (1 - weight) * solved.silhouettes[:count]), prior, offset)
-            for weight, prior in zip(self._weights, self._priors, strict=True)
-        )
+        self._marginal = equations.condensed(count)
         dropped, self.events = self.events[:count], self.events[count:]
-        self._origin = solved.solution.x.poses[count : count + REACH]
+        self._left += [(event.time, _linear(event)) for event in dropped]
         return dropped
 
-    def _state(self, which: str = "pose") -> WindowState:
-        """The events as they are now, or as the tracker found them (``first``)."""
-        poses = stacked(getattr(event, which) for event in self.events)
-        own = which == "pose"
-        quadratics = [event.quadratic if own else None for event in self.events]
-        return WindowState(poses, np.zeros((len(quadratics), poses.shape[1] - 1)), quadratics)
+    @property
+    def _acceleration(self) -> float:
+        return float(self._settings.acceleration)
 
-    def _motion_prior(self, count: int | None = None) -> Smoothness:
-        """Of the first so many events."""
-        times = np.array([event.time for event in self.events[:count]])
-        density = float(self._settings.acceleration)
-        return smoothness(times, np.full(3 * len(LANDMARKS), density))
+    def _equations(self) -> WindowEquations:
+        """About the events' poses as they were linearised."""
+        events = [_linear(event) for event in self.events]
+        times = np.array([event.time for event in self.events])
+        return window_equations(events, times, self._acceleration, self._marginal)
 
-    def _offset(self, state: WindowState) -> np.ndarray:
-        """Of the first two poses from where the marginal prior was made."""
-        if self._origin is None:
-            return np.zeros(0)
-        return offsets(state.poses[:REACH], self._origin).ravel()
+    def _linearise(self) -> None:
+        """All events about their present poses, and the marginal prior with them.
 
-    def _steps(
-        self, start: WindowState, prior: MarginalPrior | None, settings: SolverSettings
-    ) -> SolvedWindow:
-        """Some steps from where the events are."""
-        marginal = None if prior is None else Marginal(prior, self._offset)
-        solution = minimise(
-            self._linearised, WindowState.moved, start, self._motion_prior(), settings, marginal
-        )
-        nothing = np.zeros(np.shape(solution.linear.hessian)[1:])
-        each = [nothing if own is None else own.hessian for own in solution.x.quadratics]
-        return SolvedWindow(solution, np.stack(each))
+        All of them: derivatives that were taken at poses which are no motion would contradict one
+        another, and the motion prior would make evidence of that.
+        """
+        linear = self._linear_events(self.events, stacked(event.pose for event in self.events))
+        steps = [event.step for event in self.events[:REACH]]
+        if self._marginal is not None:
+            self._marginal = self._marginal.about(np.stack(steps))
+        for event, new in zip(self.events, linear, strict=True):
+            if event.linear is None:
+                new.silhouettes = self._drawn(event, new.pose, new.points)
+            else:
+                new.silhouettes = event.linear.silhouettes_about(event.step)
+            event.linear, event.step = new, np.zeros_like(new.gradient)
 
-    def _linearised(self, state: WindowState) -> Linearised:
-        """All events about their poses."""
-        if state.linear is not None:
-            return state.linear
-        dtype, settings = self._model.dtype, self._settings
-        measured = jax.tree.map(
-            lambda *parts: np.stack(parts), *(event.measured for event in self.events)
-        )
-        result = in_batches(
-            lambda *batch: _events_fit(settings.terms, self._blind, *batch),
-            (state.poses, state.steps.astype(dtype), measured),
+    def _linear_events(self, events: Sequence[WindowEvent], poses: np.ndarray) -> list[LinearEvent]:
+        """Events about packed poses (T, 7 + D), without their silhouettes."""
+        measured = jax.tree.map(lambda *parts: np.stack(parts), *(e.measured for e in events))
+        terms = self._settings.terms
+        parts = in_batches(
+            lambda *batch: _events_fit(terms, self._blind, *batch),
+            (poses, measured),
             EVENTS_A_CALL,
         )
-        poses, cost, hessian, gradient, points, jacobian = result
-        state.poses = poses.astype(dtype)
-        state.steps = np.zeros_like(state.steps)
-        for i, event in enumerate(self.events):
-            if event.frames:
-                quadratic = state.quadratics[i]
-                if quadratic is None or np.abs(points[i] - quadratic.points).max() > NEAR_M:
-                    quadratic = self._drawn(event, state.poses[i], points[i])
-                price, pull = quadratic.here()
-                cost[i] += price
-                hessian[i] += quadratic.hessian
-                gradient[i] += pull
-                state.quadratics[i] = quadratic
-        state.linear = Linearised(cost, hessian, gradient, points, jacobian)
-        return state.linear
+        return [LinearEvent(*each) for each in zip(poses, *parts, strict=True)]
 
     def _drawn(
         self, event: WindowEvent, pose: np.ndarray, points: np.ndarray
-    ) -> SilhouetteQuadratic:
+    ) -> SilhouetteQuadratic | None:
         """What an event's silhouettes cost about a packed pose with these landmarks."""
+        if not event.frames:
+            return None
         skeleton, settings = self._model.skeleton, self._settings.silhouettes
         each = [
             _silhouettes_fit(skeleton, self.cameras[camera], settings, pose, frame.grids)
@@ -254,26 +219,58 @@ class Window:
             np.sum([np.asarray(part, float) for part in parts], 0)
             for parts in zip(*each, strict=True)
         )
-        return SilhouetteQuadratic(points, float(cost), hessian, gradient, np.zeros(len(gradient)))
+        return SilhouetteQuadratic(points, float(cost), hessian, gradient, 0 * gradient)
 
-    def _rival(self) -> SolvedWindow | None:
-        """The better of two: the window as it is, and one that starts from the tracker's poses.
+    def _move(self, steps: np.ndarray) -> None:
+        """All events by steps (T, N); what is no longer near where it was drawn is drawn again."""
+        origins = np.stack([_linear(event).pose for event in self.events])
+        poses, points = moved(self._model.skeleton, origins, steps)
+        for event, pose, there, step in zip(self.events, poses, points, steps, strict=True):
+            event.pose, event.step, linear = unpack(pose), step, _linear(event)
+            drawn = linear.silhouettes
+            if drawn and np.abs(there - drawn.points).max() > NEAR_M:
+                new = self._drawn(event, pose, there)
+                linear.silhouettes = new and new._replace(step=step)
+
+    def _rival(self) -> WindowEquations | None:
+        """The equations of a window that starts from the tracker's poses, where that costs less.
 
         None where the tracker has no other opinion, or was asked a moment ago.
         """
         newest = self.events[-1]
         self._since_rival += bool(newest.frames)
-        both = stacked([newest.pose, newest.first])
-        points = np.asarray(_landmarks(self._model.skeleton, both))[:, ELBOWS]
-        apart = np.linalg.norm(points[0] - points[1], axis=-1)
-        other = ((apart > RIVAL_M) & (newest.elbow_deviations < RIVAL_DEVIATION_M)).any()
-        if not newest.frames or not other or self._since_rival < RIVAL_EVERY:
+        if not newest.frames or self._since_rival < RIVAL_EVERY or not self._another(newest):
             return None
-        self._since_rival, prior = 0, self._priors[0]
-        own = self._steps(self._state(), prior, ONE_STEP)
-        rival = self._steps(self._state("first"), None, RIVAL_STEPS)
-        priors_cost = 0.0 if prior is None else prior.cost(self._offset(own.solution.x))
-        if rival.solution.cost > own.solution.cost - priors_cost - RIVAL_GAIN:
+        self._since_rival, own = 0, self._equations()
+        rival = self._from(stacked(event.first for event in self.events))
+        for _ in range(RIVAL_STEPS - 1):
+            origins = np.stack([event.pose for event in rival.events])
+            rival = self._from(moved(self._model.skeleton, origins, rival.steps(DAMPING))[0])
+        # What a marginal prior says of its own window is no price of the other one.
+        if rival.cost(rival.steps(DAMPING)) > own.cost(own.steps(DAMPING)) - RIVAL_GAIN:
             return own
         self._forget()
+        for event, linear in zip(self.events, rival.events, strict=True):
+            event.linear = linear
         return rival
+
+    def _from(self, poses: np.ndarray) -> WindowEquations:
+        """All events about other packed poses (T, 7 + D), without a marginal prior."""
+        linear = self._linear_events(self.events, poses)
+        for event, each in zip(self.events, linear, strict=True):
+            each.silhouettes = self._drawn(event, each.pose, each.points)
+        times = np.array([event.time for event in self.events])
+        return window_equations(linear, times, self._acceleration, None)
+
+    def _another(self, newest: WindowEvent) -> bool:
+        """Whether the tracker has an elbow elsewhere, and is sure of it."""
+        ours = _linear(newest).points.reshape(-1, 3)[ELBOWS]
+        first = stacked([newest.first])
+        theirs = np.asarray(_landmarks(self._model.skeleton, first))[0, ELBOWS]
+        apart = np.linalg.norm(theirs - ours, axis=-1)
+        return bool(((apart > RIVAL_M) & (newest.elbow_deviations < RIVAL_DEVIATION_M)).any())
+
+
+def _linear(event: WindowEvent) -> LinearEvent:
+    assert event.linear is not None
+    return event.linear
