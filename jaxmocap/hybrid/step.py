@@ -14,8 +14,10 @@ The model is an argument: another person needs no new program. Many recordings g
 INPUTS: a Model, Settings, markers, what was measured. OUTPUTS: poses, reports.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from time import perf_counter
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,13 +28,14 @@ from jaxmocap.body.arms import arms_of
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
+from jaxmocap.compilation.clock import Clock
 from jaxmocap.compilation.programs import Program
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.hybrid.balance import bow_factors
 from jaxmocap.hybrid.elbow_search import ElbowBelief, no_belief
 from jaxmocap.hybrid.feet import FootPlacement, place
 from jaxmocap.hybrid.ik import goal_distances, goals_of, solve_ik
-from jaxmocap.hybrid.observe import arm_regions
+from jaxmocap.hybrid.observe import ArmThresholds, arm_regions, observe
 from jaxmocap.hybrid.refine import Solved, StepReport, refine
 from jaxmocap.hybrid.settings import Settings
 
@@ -209,3 +212,99 @@ SOLVE = Program(solve, "solve", effort="quick")
 REFINE = Program(refine, "refine", effort="full")
 SOLVE_EVENTS = Program(solve_events, "solve_events", effort="quick")
 REFINE_EVENTS = Program(refine_events, "refine_events", effort="quick")
+
+
+# Images of each camera at one event; None where there is no new one.
+Images = Sequence[np.ndarray | None]
+
+
+class Chunk(NamedTuple):
+    """Some events that ``scan`` went through.
+
+    Attributes:
+        events: which.
+        poses: (E, ...) refined.
+        reports: (E, ...).
+        frames: how many of them have an image.
+    """
+
+    events: range
+    poses: Pose
+    reports: StepReport
+    frames: int
+
+
+class ChunkedEvents:
+    """The events of a scan, in chunks; the last one is filled up with the last event."""
+
+    def __init__(
+        self,
+        model: Model,
+        settings: Settings,
+        first: tuple[Pose, FootPlacement],
+        thresholds: ArmThresholds,
+        times: np.ndarray,
+        markers_world: np.ndarray,
+        images: Iterator[Images] | None,
+        clock: Clock,
+    ):
+        self._model, self._settings, self._first = model, settings, first
+        self._times, self._markers, self._images = times, markers_world, images
+        self._thresholds, self._clock = thresholds, clock
+
+    def rows(self, events: range) -> np.ndarray:
+        """(EVENTS,) which events a chunk holds."""
+        return np.minimum(events.start + np.arange(EVENTS), len(self._times) - 1)
+
+    def markers(self, rows: np.ndarray) -> np.ndarray:
+        """(EVENTS, M, 3)."""
+        return self._markers[rows].astype(self._model.dtype)
+
+    def elapsed(self, rows: np.ndarray) -> np.ndarray:
+        """(EVENTS,) seconds since the event before."""
+        before = self._times[np.maximum(rows - 1, 0)]
+        return (self._times[rows] - before).astype(self._model.dtype)
+
+    def solved(
+        self, solve: Callable, beside: ThreadPoolExecutor
+    ) -> Iterator[tuple[range, Solved, Future[tuple[EventFields | None, int]]]]:
+        """All chunks in turn, each solved, and observed beside."""
+        model, settings = self._model, self._settings
+        last, total = self._first, len(self._times)
+        for first in range(0, total, EVENTS):
+            events = range(first, min(first + EVENTS, total))
+            markers = self.markers(self.rows(events))
+            last, solved = self._clock.timed(
+                "solve", solve, model, settings, last, markers, among=EVENTS
+            )
+            yield events, solved, beside.submit(self._observed, events, solved)
+
+    def _observed(self, events: range, solved: Solved) -> tuple[EventFields | None, int]:
+        """Fields of a chunk's images, in order: thresholds are remembered; how many have one."""
+        if solved.region is None:
+            return None, 0
+        region = jax.tree.map(np.asarray, solved.region)
+        settings = self._settings
+        fields: list[EdgeFields | None] = [None for _ in range(EVENTS)]
+        for row, _ in enumerate(events):
+            began = perf_counter()
+            images = next(self._images) if self._images is not None else ()
+            if any(image is not None for image in images):
+                self._clock.keep("decode", began)
+                own = jax.tree.map(lambda part, i=row: part[i], region)
+                fields[row], self._thresholds = self._clock.timed(
+                    "observe", observe, settings, self._thresholds, images, own
+                )
+        nothing, _ = observe(
+            settings, self._thresholds, None, jax.tree.map(lambda part: part[0], region)
+        )
+        return EventFields.of(nothing, fields), sum(own is not None for own in fields)
+
+
+def one_ahead(chunks: Iterator[Any]) -> Iterator[Any]:
+    """The first is on its way at once, and is given out when the next one is too, and so on."""
+    waiting = next(chunks)
+    for chunk in chunks:
+        yield waiting
+        waiting = chunk
+    yield waiting

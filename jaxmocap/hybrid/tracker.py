@@ -7,10 +7,9 @@ INPUTS: a Model, Settings; markers and images over time. OUTPUTS: states, poses,
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
-from time import perf_counter
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +21,6 @@ from jaxmocap.body.model import Model, Recorded, marker_sites, on_unmarked_feet
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.clock import Clock
-from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.elbow_search import ElbowBelief
 from jaxmocap.hybrid.feet import FootPlacement
@@ -36,12 +34,14 @@ from jaxmocap.hybrid.step import (
     SOLVE,
     SOLVE_EVENTS,
     START,
+    Chunk,
+    ChunkedEvents,
     EventFields,
+    Images,
     RefineInputs,
+    one_ahead,
 )
-
-# Images of each camera at one event; None where there is no new one.
-Images = Sequence[np.ndarray | None]
+from jaxmocap.solvers.status import Status
 
 
 class State(NamedTuple):
@@ -53,7 +53,7 @@ class State(NamedTuple):
         belief: about the elbows, by the video.
         bow_factors: (3,) of the balance heuristic, for this person.
         thresholds: of edges in the arms' regions.
-        time: of the event, seconds; None before the first.
+        time: of the last event that was refined, seconds; None before the first.
     """
 
     pose: Pose
@@ -62,22 +62,6 @@ class State(NamedTuple):
     bow_factors: Array
     thresholds: ArmThresholds
     time: float | None
-
-
-class Chunk(NamedTuple):
-    """Some events that ``scan`` went through.
-
-    Attributes:
-        events: which.
-        poses: (E, ...) refined.
-        reports: (E, ...).
-        frames: how many of them have an image.
-    """
-
-    events: range
-    poses: Pose
-    reports: StepReport
-    frames: int
 
 
 class HybridTracker:
@@ -185,6 +169,32 @@ class HybridTracker:
         )
         return after, pose, report
 
+    def solve(
+        self,
+        state: State,
+        markers_world: np.ndarray | Array,
+        clock: Clock | None = None,
+    ) -> tuple[State, Pose, StepReport]:
+        """One event by its markers alone: what the video taught waits for the next ``step``.
+
+        Args:
+            state: after the last event.
+            markers_world: (M, 3) metres; NaN where missing.
+            clock: keeps how long the stage takes.
+
+        Returns:
+            The state, the markers' pose and a report whose elbows are of unknown deviation.
+
+        Raises:
+            ValueError: other markers than the model's.
+        """
+        targets, clock = self._targets(markers_world), clock or Clock(False)
+        solved = clock.timed(
+            "solve", SOLVE, self.model, self.settings, state.pose, state.feet, targets
+        )
+        after = state._replace(pose=solved.ik.pose, feet=solved.ik.feet)
+        return after, solved.ik.pose, _unrefined(solved, targets)
+
     def _targets(self, markers_world: np.ndarray | Array) -> np.ndarray:
         targets = np.asarray(markers_world, self.model.dtype)
         expected = (len(self.model.markers.bone_indices), 3)
@@ -216,11 +226,14 @@ class HybridTracker:
             clock: keeps how long the stages take.
         """
         clock = clock or Clock(False)
-        scan = _Scan(self, state, np.asarray(times, float), markers_world, images, clock)
+        scan = ChunkedEvents(
+            self.model, self.settings, (state.pose, state.feet), state.thresholds,
+            np.asarray(times, float), markers_world, images, clock,
+        )  # fmt: skip
         solving, refining = self._beside(markers_world.shape[1])
         refine, belief = None, state.belief
         with ThreadPoolExecutor(1, "observe") as beside:
-            for events, solved, observed in _one_ahead(scan.solved(solving(), beside)):
+            for events, solved, observed in one_ahead(scan.solved(solving(), beside)):
                 refine = refine or refining()
                 fields, frames = observed.result()
                 rows = scan.rows(events)
@@ -265,75 +278,12 @@ class HybridTracker:
         return jax.ShapeDtypeStruct((count, 3), self.model.dtype)
 
 
-class _Scan:
-    """The events of ``HybridTracker.scan``; the last chunk is filled up with the last event."""
-
-    def __init__(
-        self,
-        tracker: HybridTracker,
-        state: State,
-        times: np.ndarray,
-        markers_world: np.ndarray,
-        images: Iterator[Images] | None,
-        clock: Clock,
-    ):
-        self._tracker, self._state, self._times = tracker, state, times
-        self._markers, self._images, self._clock = markers_world, images, clock
-        self._thresholds = state.thresholds
-
-    def rows(self, events: range) -> np.ndarray:
-        """(EVENTS,) which events a chunk holds."""
-        return np.minimum(events.start + np.arange(EVENTS), len(self._times) - 1)
-
-    def markers(self, rows: np.ndarray) -> np.ndarray:
-        """(EVENTS, M, 3)."""
-        return self._markers[rows].astype(self._tracker.model.dtype)
-
-    def elapsed(self, rows: np.ndarray) -> np.ndarray:
-        """(EVENTS,) seconds since the event before."""
-        before = self._times[np.maximum(rows - 1, 0)]
-        return (self._times[rows] - before).astype(self._tracker.model.dtype)
-
-    def solved(
-        self, solve: Callable, beside: ThreadPoolExecutor
-    ) -> Iterator[tuple[range, Solved, Future[tuple[EventFields | None, int]]]]:
-        """All chunks in turn, each solved, and observed beside."""
-        model, settings = self._tracker.model, self._tracker.settings
-        last, total = (self._state.pose, self._state.feet), len(self._times)
-        for first in range(0, total, EVENTS):
-            events = range(first, min(first + EVENTS, total))
-            markers = self.markers(self.rows(events))
-            last, solved = self._clock.timed(
-                "solve", solve, model, settings, last, markers, among=EVENTS
-            )
-            yield events, solved, beside.submit(self._observed, events, solved)
-
-    def _observed(self, events: range, solved: Solved) -> tuple[EventFields | None, int]:
-        """Fields of a chunk's images, in order: thresholds are remembered; how many have one."""
-        if solved.region is None:
-            return None, 0
-        region = jax.tree.map(np.asarray, solved.region)
-        settings = self._tracker.settings
-        fields: list[EdgeFields | None] = [None for _ in range(EVENTS)]
-        for row, _ in enumerate(events):
-            began = perf_counter()
-            images = next(self._images) if self._images is not None else ()
-            if any(image is not None for image in images):
-                self._clock.keep("decode", began)
-                own = jax.tree.map(lambda part, i=row: part[i], region)
-                fields[row], self._thresholds = self._clock.timed(
-                    "observe", observe, settings, self._thresholds, images, own
-                )
-        nothing, _ = observe(
-            settings, self._thresholds, None, jax.tree.map(lambda part: part[0], region)
-        )
-        return EventFields.of(nothing, fields), sum(own is not None for own in fields)
-
-
-def _one_ahead(chunks: Iterator[Any]) -> Iterator[Any]:
-    """The first is on its way at once, and is given out when the next one is too, and so on."""
-    waiting = next(chunks)
-    for chunk in chunks:
-        yield waiting
-        waiting = chunk
-    yield waiting
+def _unrefined(solved: Solved, targets: np.ndarray) -> StepReport:
+    """The report of an event that was solved by its markers (M, 3) only."""
+    unknown, ik = np.full(2, np.nan, targets.dtype), solved.ik
+    errors = np.full(len(targets), np.nan, targets.dtype)
+    each: tuple[Any, ...] = (
+        ik.pose, errors, unknown, np.zeros(2, targets.dtype), unknown, ik.iterations, ik.planted,
+        solved.placed, np.bool_(False), np.int32(Status.CONVERGED),
+    )  # fmt: skip
+    return StepReport(*each)

@@ -8,7 +8,10 @@ does not jump (``fading``).
     state = tracker.init(markers)
     smoother = FixedLagSmoother(tracker.model, settings.smoothing)
     for time, markers, image in ...:  # NaN and None where there is nothing new
-        state, pose, report = tracker.step(state, time, markers, [image])
+        if smoother.asks_for([image]):
+            state, pose, report = tracker.step(state, time, markers, [image])
+        else:
+            state, pose, report = tracker.solve(state, markers)
         for final in smoother.step(time, markers, [image], pose, report):
             ...  # final.number, final.time, final.pose, final.deviations
     last = smoother.flush()
@@ -17,7 +20,7 @@ INPUTS: a tracker's steps: markers, images, poses, reports. OUTPUTS: smoothed po
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from jax import Array
@@ -25,6 +28,7 @@ from threadpoolctl import ThreadpoolController
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, pack, retract, unpack
+from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearance
@@ -32,8 +36,15 @@ from jaxmocap.smoothing.facing import RunningFacing
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import landmark_deviations
 from jaxmocap.smoothing.window.equations import WindowEquations
-from jaxmocap.smoothing.window.events import WindowEvent, expected_at
-from jaxmocap.smoothing.window.sliding import SOFTNESS, Window, offsets, stacked
+from jaxmocap.smoothing.window.events import (
+    ReportedStep,
+    StepReported,
+    WindowEvent,
+    any_image,
+    expected_at,
+    offsets,
+)
+from jaxmocap.smoothing.window.sliding import SOFTNESS, Window, stacked
 from jaxmocap.solvers.fading import Fading
 
 # A pose is given out once so many later video frames came,
@@ -48,46 +59,14 @@ KEPT_S = 0.2
 MOST_WAITING = 6
 # Deviations are found anew for the poses given out at one in so many video frames.
 SURE_EVERY = 5
+# Deviation of an elbow from which the tracker's own opinion is asked for, metres.
+UNSURE_M = 0.045
 # Time constant with which corrections fade in, seconds.
 FADE_S = 0.07
 # Events farther apart are no motion, seconds.
 LONGEST_GAP_S = 0.25
 # Velocities are taken from events at least so far apart, seconds.
 BASELINE_S = 0.005
-
-
-class StepReported(Protocol):
-    """What a tracker's step reports of itself."""
-
-    @property
-    def marker_pose(self) -> Pose:
-        """By the markers alone."""
-        ...
-
-    @property
-    def elbow_deviations(self) -> Array:
-        """(2,) standard deviations of the elbows, metres."""
-        ...
-
-    @property
-    def placed(self) -> Array:
-        """Whether the body was placed again."""
-        ...
-
-
-class _Step(NamedTuple):
-    """A step of the tracker that waits for the next video frame; see ``FixedLagSmoother.step``."""
-
-    time: float
-    markers_world: np.ndarray | Array
-    images: Sequence[np.ndarray | None] | None
-    pose: Pose
-    report: StepReported
-
-    @property
-    def has_image(self) -> bool:
-        """Whether any camera has a new one."""
-        return any(image is not None for image in self.images or ())
 
 
 class SmoothedPose(NamedTuple):
@@ -147,8 +126,20 @@ class FixedLagSmoother:
         self._fading: Fading | None = None
         # Number, time and pose of the event given out last, and of one beside it.
         self._last_given: list[tuple[int, float, Pose]] = []
-        self._waiting: list[_Step] = []
+        self._waiting: list[ReportedStep] = []
         self._frames_since_sure, self._sure = SURE_EVERY, None
+
+    def asks_for(self, images: Sequence[np.ndarray | None] | None) -> bool:
+        """Whether the tracker is to refine an event with these images, or to solve it only.
+
+        There is something to see, and an elbow is so uncertain that the tracker's own pose might
+        be a better start.
+        """
+        if not any_image(images):
+            return False
+        if self._sure is None:
+            return True
+        return bool((np.linalg.norm(self._sure[0][ELBOWS], axis=-1) > UNSURE_M).any())
 
     def step(
         self,
@@ -176,7 +167,7 @@ class FixedLagSmoother:
         last = self._last_time()
         if last is not None and (bool(report.placed) or time - last > LONGEST_GAP_S):
             final += self.flush()
-        self._waiting.append(_Step(float(time), markers_world, images, pose, report))
+        self._waiting.append(ReportedStep(float(time), markers_world, images, pose, report))
         if len(self._waiting) < MOST_WAITING and not self._waiting[-1].has_image:
             return final
         return final + self._settle(final=False)
@@ -198,13 +189,12 @@ class FixedLagSmoother:
             return
         dtype, waiting, self._waiting = self.model.dtype, self._waiting, []
         alone = [stacked([step.report.marker_pose])[0].astype(dtype) for step in waiting]
-        first = [Pose._make(np.asarray(p, dtype) for p in step.pose) for step in waiting]
         events, before = self._window.events, self._marker_pose
-        last = np.concatenate(events[-1].pose if events else first[0])
+        last = np.concatenate(events[-1].pose if events else waiting[0].pose).astype(dtype)
         before = alone[0] if before is None else before
         expected = expected_at(self.model.skeleton, last, before, alone)
         self._marker_pose = alone[-1]
-        for step, own, there in zip(waiting, first, expected, strict=True):
+        for step, own, there in zip(waiting, alone, expected, strict=True):
             elapsed = step.time - events[-1].time if events else 0.0
             facing = self._facing.step(np.asarray(there.ahead), elapsed)
             measured = {
@@ -217,8 +207,10 @@ class FixedLagSmoother:
             frames = self._frames(step.images, there.pose)
             number, self._count = self._count, self._count + 1
             deviations = np.asarray(step.report.elbow_deviations, float)
-            event = WindowEvent(number, step.time, measured, there.pose, own, deviations, frames)
-            events.append(event)
+            looked = bool(np.isfinite(deviations).all())
+            refined = stacked([step.pose])[0].astype(dtype) if looked else None
+            about = (measured, there.pose, own, refined, deviations, frames)
+            events.append(WindowEvent(number, step.time, *about))
 
     def _frames(
         self, images: Sequence[np.ndarray | None] | None, pose: Pose

@@ -176,6 +176,27 @@ def test_without_images_it_ends_at_the_markers_pose_and_grows_unsure(tracker):
     np.testing.assert_allclose(arms_in(pose).elbow, arms_in(report.marker_pose).elbow, atol=0.05)
 
 
+def test_events_may_be_solved_by_their_markers_and_refined_when_asked_for(tracker):
+    """Solving alone leaves what the video taught as it is, and counts its age on."""
+    state, _ = followed(tracker, 6)
+    later, markers = state, markers_of(TRUTH)
+    for _ in range(3):
+        later, pose, report = tracker.solve(later, markers)
+        assert np.isnan(np.asarray(report.elbow_deviations)).all()
+        assert np.isnan(np.asarray(report.confidence)).all()
+        np.testing.assert_array_equal(pose.angles, report.marker_pose.angles)
+    assert later.belief is state.belief and later.time == state.time
+    alone = state
+    for i in range(3):
+        alone, _, report = tracker.step(alone, state.time + (i + 1) / RATE, markers)
+    np.testing.assert_allclose(report.marker_pose.angles, pose.angles, atol=1e-6)
+    ages = [
+        float(tracker.step(each, state.time + 1.0, markers)[0].belief.age)
+        for each in (later, alone)
+    ]
+    assert ages[0] == pytest.approx(ages[1], abs=1e-5) and ages[0] >= 1.0
+
+
 def test_elbows_come_back_after_a_gap(tracker):
     state, _ = followed(tracker, 6)
     for i in range(6, 12):

@@ -40,6 +40,7 @@ class Tracker:
         self.model = SimpleNamespace(skeleton=SKELETON, markers=markers, cameras=lenses)
         self.settings = Settings()
         self.steps: list[tuple[float, np.ndarray, object]] = []
+        self.solved: list[np.ndarray] = []
 
     def init(self, markers_world):
         return State(None)
@@ -50,13 +51,20 @@ class Tracker:
         report = SimpleNamespace(placed=False, confidence=np.array([0.25, 0.75]))
         return State(time), POSE, report
 
+    def solve(self, state, markers_world):
+        self.solved.append(markers_world)
+        return state, POSE, SimpleNamespace(placed=False, confidence=np.full(2, np.nan))
+
 
 class Smoother:
     """Every event is final at once."""
 
     def __init__(self, model, settings):
-        self.times: list[float] = []
+        self.asks, self.times = True, []
         self.markers: list[np.ndarray] = []
+
+    def asks_for(self, images):
+        return self.asks
 
     def step(self, time, markers_world, images, pose, report):
         self.times.append(time)
@@ -166,6 +174,20 @@ def test_smoothing_has_samples_and_frames_in_the_order_of_their_times(tracking):
         m for t, m in zip(times, live._smoother.markers, strict=True) if abs(t * 90 % 1 - 0.5) < 0.1
     ]
     assert len(at_frames) == 20 and np.isnan(at_frames).all()
+
+
+def test_frames_are_refined_only_where_the_smoother_asks_for_it(tracking):
+    live = tracking(smooth=True)
+    live.sample(sample(0.0))
+    live.frames([frame(0.01)])
+    live.flush()
+    refined = len(live.tracker.steps)
+    assert refined and not live.tracker.solved
+    live._smoother.asks = False
+    live.sample(sample(0.1))
+    live.frames([frame(0.11)])
+    live.flush()
+    assert len(live.tracker.steps) == refined and len(live.tracker.solved) == 2
 
 
 def test_smoothing_waits_for_frames_no_longer_than_a_moment(tracking):

@@ -131,10 +131,11 @@ def test_the_stages_of_live_steps_are_timed_event_by_event():
     times = track(small_recording(), mode="causal", tracker=compiled()).report.milliseconds
     frames = len(times["frame"])
     assert len(times["first_call"]) == 1
-    assert {len(times[stage]) for stage in ("decode", "observe", "refine", "smooth")} == {frames}
-    assert len(times["sample"]) == len(times["carry"]) == len(times["solve"]) - frames
-    parts = times["decode"] + times["observe"] + times["refine"] + times["solve"].min()
-    assert (times["frame"] >= parts).all()
+    assert {len(times[stage]) for stage in ("decode", "smooth")} == {frames}
+    # Frames are refined where the smoothing asks for it.
+    assert 0 < len(times["observe"]) == len(times["refine"]) <= frames
+    assert len(times["sample"]) == len(times["solve"]) - frames and "carry" not in times
+    assert (times["frame"] >= times["decode"] + times["solve"].min()).all()
 
 
 def test_the_report_holds_the_trackers_settings(tracked):

@@ -177,6 +177,34 @@ def test_what_comes_later_changes_nothing_that_is_final(smoothed):
     assert np.abs(late[0] - late[1]).max() > 0.03
 
 
+def test_the_trackers_refinement_is_asked_for_where_there_is_an_image_and_an_elbow_is_unsure():
+    smoother, seen = smoother_of(), []
+    assert smoother.asks_for([images()[0]]) and not smoother.asks_for([None])
+    for i in range(12):
+        asked = smoother.asks_for([images()[i]])
+        given = smoother.step(TIMES[i], markers()[i], [images()[i]], at(shaking(), i), report(i))
+        if given:
+            elbows = np.linalg.norm(given[-1].deviations[ELBOWS], axis=-1).max()
+            seen.append((elbows, smoother.asks_for([images()[i]])))
+        assert asked in (True, False)
+    assert all(wanted == (elbows > fixed_lag.UNSURE_M) for elbows, wanted in seen) and seen
+    assert not smoother.asks_for(None)
+
+
+def test_events_that_were_not_refined_take_part_all_the_same(smoothed):
+    """Solved by markers alone, their deviations unknown."""
+    smoother, final = smoother_of(), []
+    unknown = np.full(2, np.nan)
+    for i in range(COUNT):
+        own = report(i)
+        if i % 3:
+            own = own._replace(elbow_deviations=unknown)
+        pose = at(shaking(), i) if i % 3 == 0 else own.marker_pose
+        final += smoother.step(TIMES[i], markers()[i], [images()[i]], pose, own)
+    out = poses_of([*final, *smoother.flush()])
+    assert elbow_errors(out)[8:].mean() < 1.5 * elbow_errors(poses_of(joined(smoothed)))[8:].mean()
+
+
 # What is missing ---------------------------------------------------------------------------------
 
 

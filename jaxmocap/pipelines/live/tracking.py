@@ -173,7 +173,10 @@ class LiveTracking:
     ) -> tuple[Pose, StepReport]:
         """One step of the tracker."""
         assert self._state is not None
-        step = self.tracker.step(self._state, time, markers_world, images)
+        if self._smoother is None or self._smoother.asks_for(images):
+            step = self.tracker.step(self._state, time, markers_world, images)
+        else:
+            step = self.tracker.solve(self._state, markers_world)
         self._state, pose, report = jax.device_get(step)
         self.placements += bool(report.placed)
         return pose, report

@@ -69,7 +69,10 @@ def stepped(
         began = perf_counter() if event else began
         own, markers = Clock(), events.markers_world[event]
         images = own.timed("decode", _images_at, line.frame_index[event], readers)
-        state, pose, report = tracker.step(state, time, markers, images, own)
+        if smoother is None or smoother.asks_for(images):
+            state, pose, report = tracker.step(state, time, markers, images, own)
+        else:
+            state, pose, report = tracker.solve(state, markers, own)
         # A quarter of the time of jax.device_get, and the state stays where it is wanted next.
         pose, report = jax.tree.map(np.asarray, (pose, report))
         if smoother is not None:
@@ -120,6 +123,7 @@ def _keep_stages(
     elif any(image is not None for image in images):
         spent = spent | {"frame": total}
     else:
-        spent = {"solve": spent["solve"], "carry": spent["refine"], "sample": total}
+        carried = {"carry": spent["refine"]} if "refine" in spent else {}
+        spent = {"solve": spent["solve"], **carried, "sample": total}
     for stage, taken in spent.items():
         clock.milliseconds.setdefault(stage, []).append(taken)

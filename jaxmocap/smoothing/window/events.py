@@ -5,7 +5,7 @@ INPUTS: what a step of a tracker measured and found. OUTPUTS: WindowEvents; what
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,45 @@ _EXPECTED_SHAPES = np.empty(2), np.empty(2), np.empty((2, 3))
 # Events per call, so that they compile once.
 EXPECTED_A_CALL = 4
 MOVED_A_CALL = 8
+
+
+class StepReported(Protocol):
+    """What a tracker's step reports of itself."""
+
+    @property
+    def marker_pose(self) -> Pose:
+        """By the markers alone."""
+        ...
+
+    @property
+    def elbow_deviations(self) -> Array:
+        """(2,) standard deviations of the elbows, metres."""
+        ...
+
+    @property
+    def placed(self) -> Array:
+        """Whether the body was placed again."""
+        ...
+
+
+class ReportedStep(NamedTuple):
+    """A step of the tracker that waits for the next video frame."""
+
+    time: float
+    markers_world: np.ndarray | Array
+    images: Sequence[np.ndarray | None] | None
+    pose: Pose
+    report: StepReported
+
+    @property
+    def has_image(self) -> bool:
+        """Whether any camera has a new one."""
+        return any_image(self.images)
+
+
+def any_image(images: Sequence[np.ndarray | None] | None) -> bool:
+    """Whether any camera has a new one."""
+    return any(image is not None for image in images or ())
 
 
 class Expected(NamedTuple):
@@ -82,6 +121,17 @@ def _expected(skeleton: Skeleton, last: Array, alone: Array) -> Array:
     return jax.lax.scan(one, unpack(last), (alone[:-1], alone[1:]))[1]
 
 
+def offsets(poses: np.ndarray, origins: np.ndarray) -> np.ndarray:
+    """Tangent vectors (T, 6 + D) from packed origins (T, 7 + D) to packed poses, float64."""
+    return in_batches(_differences, (poses, origins), MOVED_A_CALL)[0]
+
+
+@program("quick")
+def _differences(poses: Array, origins: Array) -> tuple[Array]:
+    """Tangent vectors (T, 6 + D) from origins to poses, both (T, 7 + D) packed."""
+    return (difference(unpack(poses), unpack(origins)),)
+
+
 def moved(
     skeleton: Skeleton, poses: np.ndarray, steps: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -109,7 +159,8 @@ class WindowEvent:
         time: seconds.
         measured: of it besides its silhouettes.
         pose: as it is now.
-        first: as the tracker found it.
+        alone: of the markers, packed.
+        refined: as the tracker found it by video, packed; None where it did not look.
         elbow_deviations: (2,) the tracker's, metres.
         frames: camera, what was measured in its frame, width and height of that.
         linear: all that it costs, about a pose near by; None before the first solve.
@@ -121,7 +172,8 @@ class WindowEvent:
     time: float
     measured: Measurements
     pose: Pose
-    first: Pose
+    alone: np.ndarray
+    refined: np.ndarray | None
     elbow_deviations: np.ndarray
     frames: list[tuple[int, MeasuredFrame, tuple[int, int]]]
     linear: LinearEvent | None = None

@@ -17,7 +17,7 @@ from jax import Array
 
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, difference, unpack
+from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
@@ -34,7 +34,7 @@ from jaxmocap.smoothing.window.equations import (
     WindowEquations,
     window_equations,
 )
-from jaxmocap.smoothing.window.events import WindowEvent, moved
+from jaxmocap.smoothing.window.events import WindowEvent, moved, offsets
 
 # Cells over which silhouettes fade.
 SOFTNESS = 1.0
@@ -53,12 +53,6 @@ EVENTS_A_CALL = 16
 # A silhouette's quadratic holds while no landmark moves farther than this, metres: a fraction of a
 # cell, over which its borders fade.
 NEAR_M = 0.008
-
-
-@program("quick")
-def _differences(poses: Array, origins: Array) -> Array:
-    """Tangent vectors (T, 6 + D) from origins to poses, both (T, 7 + D) packed."""
-    return difference(unpack(poses), unpack(origins))
 
 
 @program("quick")
@@ -96,11 +90,6 @@ def _silhouettes_fit(
 def stacked(poses: Iterable[Pose]) -> np.ndarray:
     """Packed poses (T, 7 + D) of single ones."""
     return np.stack([np.concatenate(pose) for pose in poses])
-
-
-def offsets(poses: np.ndarray, origins: np.ndarray) -> np.ndarray:
-    """Tangent vectors (T, 6 + D) from packed origins to packed poses, float64."""
-    return np.asarray(_differences(poses, origins), float)
 
 
 class Window:
@@ -239,10 +228,10 @@ class Window:
         """
         newest = self.events[-1]
         self._since_rival += bool(newest.frames)
-        if not newest.frames or self._since_rival < RIVAL_EVERY or not self._another(newest):
+        if self._since_rival < RIVAL_EVERY or not self._another(newest):
             return None
         self._since_rival, own = 0, self._equations()
-        rival = self._from(stacked(event.first for event in self.events))
+        rival = self._from(self._refined())
         for _ in range(RIVAL_STEPS - 1):
             origins = np.stack([event.pose for event in rival.events])
             rival = self._from(moved(self._model.skeleton, origins, rival.steps(DAMPING))[0])
@@ -254,6 +243,21 @@ class Window:
             event.linear = linear
         return rival
 
+    def _refined(self) -> np.ndarray:
+        """(T, 7 + D) where the tracker has the events, or the last one before that it refined."""
+        refined = [i for i, event in enumerate(self.events) if event.refined is not None]
+        count = len(self.events)
+        sources = [max([i for i in refined if i <= k], default=refined[0]) for k in range(count)]
+        some = [self.events[i] for i in sources]
+        poses, before, now = (
+            np.stack(each)
+            for each in zip(
+                *((a.refined, a.alone, b.alone) for a, b in zip(some, self.events, strict=True)),
+                strict=True,
+            )
+        )
+        return moved(self._model.skeleton, poses, offsets(now, before))[0]
+
     def _from(self, poses: np.ndarray) -> WindowEquations:
         """All events about other packed poses (T, 7 + D), without a marginal prior."""
         linear = self._linear_events(self.events, poses)
@@ -263,10 +267,11 @@ class Window:
         return window_equations(linear, times, self._acceleration, None)
 
     def _another(self, newest: WindowEvent) -> bool:
-        """Whether the tracker has an elbow elsewhere, and is sure of it."""
+        """Whether the tracker has an elbow elsewhere in a frame, and is sure of it."""
+        if not newest.frames or newest.refined is None:
+            return False
         ours = _linear(newest).points.reshape(-1, 3)[ELBOWS]
-        first = stacked([newest.first])
-        theirs = np.asarray(_landmarks(self._model.skeleton, first))[0, ELBOWS]
+        theirs = np.asarray(_landmarks(self._model.skeleton, newest.refined[None]))[0, ELBOWS]
         apart = np.linalg.norm(theirs - ours, axis=-1)
         return bool(((apart > RIVAL_M) & (newest.elbow_deviations < RIVAL_DEVIATION_M)).any())
 
