@@ -43,13 +43,18 @@ def shrunk_size(size: tuple[int, int], rows: int) -> tuple[int, int]:
 def shrink(image: np.ndarray, rows: int) -> np.ndarray:
     """Average an image (H, W, ...) down to ``rows`` rows; one that has fewer is left as it is.
 
+    It is halved as often as possible, which OpenCV does in integers, and the rest is interpolated.
     Edges map onto edges: pixel x of W becomes ``(x + 0.5) w / W - 0.5`` of w, rows likewise
     (``shrunk_pixels``). Width is rounded, so the two ratios differ by up to half a pixel of w.
     """
     height, width = image.shape[:2]
     if rows >= height:
         return image
-    return cv2.resize(image, shrunk_size((width, height), rows), interpolation=cv2.INTER_AREA)
+    size = shrunk_size((width, height), rows)
+    while height >= 2 * rows:
+        height, width = height // 2, width // 2
+        image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    return cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
 
 
 def log_odds(

@@ -279,12 +279,27 @@ def _no_grids(regions: Regions) -> SilhouetteGrids:
 
 
 def body_grids(
-    image: np.ndarray, learned: AppearanceModel, drawing: Drawing, frame: int, regions: Regions
+    image: np.ndarray,
+    learned: AppearanceModel,
+    drawing: Drawing,
+    frame: int,
+    regions: Regions,
+    cells: tuple[int, int] = (CELLS, LEG_CELLS),
 ) -> tuple[np.ndarray, SilhouetteGrids]:
-    """Log-odds (h, w) that pixels of a shrunk image show the person; what that is on the grids."""
+    """Log-odds (h, w) that pixels of a shrunk image show the person; what that is on the grids.
+
+    Args:
+        image: (h, w, 3) BGR uint8.
+        learned: of room and person.
+        drawing: the body in the frames.
+        frame: which of them.
+        regions: where the grids lie, in pixels of the full image.
+        cells: to a side of both grids.
+    """
+    on_upper, on_legs = cells
     upper = _in_shrunk(drawing, regions.upper)
     lower = _in_shrunk(drawing, regions.lower)
-    window, corner = _window(image, {CELLS: upper, LEG_CELLS: lower})
+    window, corner = _window(image, {on_upper: upper, on_legs: lower})
     odds = np.zeros(image.shape[:2], np.float32)
     odds[window] = log_odds(image, learned.background, learned.person, window=window)
     head = drawing.mask(frame, GROWN, only=("head",))[window]
@@ -295,8 +310,8 @@ def body_grids(
         origin = np.asarray(region.origin) - corner
         return Grid(*person_grid(odds, origin, float(region.scale), cells))
 
-    person_image, part = (grid(each, upper, CELLS) for each in (person, forearms))
-    legs = LegGrid(regions.lower, grid(person, lower, LEG_CELLS))
+    person_image, part = (grid(each, upper, on_upper) for each in (person, forearms))
+    legs = LegGrid(regions.lower, grid(person, lower, on_legs))
     return odds, SilhouetteGrids(regions.upper, person_image, part, legs)
 
 

@@ -24,7 +24,6 @@ from jaxmocap.evidence.appearance.learned import (
     BARE,
     CELLS,
     CORE,
-    LEG_CELLS,
     LEG_MARGIN,
     MARGIN,
     AppearanceModel,
@@ -43,8 +42,10 @@ from jaxmocap.images.foreground import SURE_ODDS, shrink
 from jaxmocap.images.regions import Region, region_of_side
 from jaxmocap.images.silhouette_grid import Grid, blurred
 
-# Rows of the images that silhouettes are learned from, fewer than for a whole recording.
-ROWS = 240
+# Rows of the images that silhouettes are learned from, fewer than for a whole recording;
+ROWS = 160
+# and cells to a side of the grids round the upper half and the legs, fewer as well.
+UPPER_CELLS, LOWER_CELLS = 48, 24
 # So many frames are all learned from,
 FIRST_FRAMES = 60
 # and of later ones one in so many.
@@ -134,8 +135,8 @@ class RunningAppearance:
         self.forearms = RunningColours()
         self._skeleton, self._camera, self._astray = skeleton, camera, feet_astray
         upper, legs = landmark_halves(skeleton.tree)
-        self._upper = _Window(upper, CELLS, MARGIN)
-        self._lower = _Window(legs, LEG_CELLS, LEG_MARGIN)
+        self._upper = _Window(upper, UPPER_CELLS, MARGIN)
+        self._lower = _Window(legs, LOWER_CELLS, LEG_MARGIN)
         self._offered, self._nothing_learned = 0, True
         self._learned: AppearanceModel | None = None
 
@@ -151,7 +152,8 @@ class RunningAppearance:
         if self._nothing_learned:
             self._learn(small, drawing, None, None)
         learned = self._model()
-        odds, grids = body_grids(small, learned, drawing, 0, regions)
+        cells = UPPER_CELLS, LOWER_CELLS
+        odds, grids = body_grids(small, learned, drawing, 0, regions, cells)
         soft = grids.each_grid(lambda grid: _soft(grid, softness))
         return MeasuredFrame(small, odds, learned.background.certainty > 0.5, soft)
 
@@ -211,6 +213,7 @@ def _coloured(image: np.ndarray) -> np.ndarray:
 
 
 def _soft(grid: Grid, softness: float) -> Grid:
-    """One grid blurred as softly as it is drawn, float32."""
+    """One grid blurred as softly as it is drawn, float32; few cells count as much as many."""
     stacked = blurred(Grid(*(np.asarray(part)[None] for part in grid)), softness)
-    return Grid(*(np.asarray(part[0], np.float32) for part in stacked))
+    probability, weight = (np.asarray(part[0], np.float32) for part in stacked)
+    return Grid(probability, weight * np.float32(CELLS / UPPER_CELLS))

@@ -37,7 +37,7 @@ from jaxmocap.smoothing.window.equations import (
 from jaxmocap.smoothing.window.events import WindowEvent, moved, offsets
 
 # Cells over which silhouettes fade.
-SOFTNESS = 1.0
+SOFTNESS = 0.8
 # A window that starts from the tracker's own poses is tried where that has an elbow so far away,
 RIVAL_M = 0.1
 # and is so sure of it, metres; it must cost so much less;
