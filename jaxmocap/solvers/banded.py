@@ -7,6 +7,7 @@ ignored.
 INPUTS: block rows, right-hand sides. OUTPUTS: solutions, blocks of the inverse.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -34,8 +35,11 @@ def pack_band(rows: np.ndarray) -> np.ndarray:
     Entry k of column i is the matrix's (i + k, i): LAPACK's lower band storage, transposed.
     """
     frames, size, width = rows.shape
-    padded = np.concatenate([rows, np.zeros((frames, size, size))], 2)
-    return padded[(slice(None), *_diagonals(size, width))].reshape(frames * size, width)
+    padded = np.zeros((frames, size, width + size))
+    padded[:, :, :width] = rows
+    # By flat indices, mode "clip": ten times faster than by pairs of them.
+    columns = padded.reshape(frames, -1).take(_flat_diagonals(size, width), 1, mode="clip")
+    return columns.reshape(frames * size, width)
 
 
 def unpack_band(columns: np.ndarray, frames: int) -> np.ndarray:
@@ -107,6 +111,13 @@ def inverse_blocks(factor: Factor, first: int = 0) -> np.ndarray:
         blocks[frame] = joint[:size, :size] = (own_block + own_block.T) / 2
         joint[:size, size:], joint[size:, :size] = across, across.T
     return blocks
+
+
+@lru_cache
+def _flat_diagonals(size: int, width: int) -> np.ndarray:
+    """``_diagonals`` of a block row that is padded by N columns, in one number each."""
+    row, column = _diagonals(size, width)
+    return (row * (width + size) + column).ravel()
 
 
 def _diagonals(size: int, width: int) -> tuple[np.ndarray, np.ndarray]:

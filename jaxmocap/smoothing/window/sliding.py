@@ -50,9 +50,9 @@ RIVAL_STEPS = 3
 DAMPING = 1e-3
 # Events per call, so that they compile once.
 EVENTS_A_CALL = 16
-# A silhouette's quadratic holds while no landmark moves farther than this, metres: a fraction of a
+# A silhouette's quadratic holds while no landmark moves farther than this, metres: about half a
 # cell, over which its borders fade.
-NEAR_M = 0.008
+NEAR_M = 0.012
 
 
 @program("quick")
