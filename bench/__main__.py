@@ -14,6 +14,8 @@ from pathlib import Path
 
 from bench.command_line import command
 
+PARTS = ("frame rate", "rivals", "growth", "headline")
+
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
@@ -22,7 +24,9 @@ def parser() -> argparse.ArgumentParser:
     add("--quick", action="store_true", help="less than a minute: what the gate needs")
     add("--json", metavar="FILE", help="write the metrics")
     add("--gate", action="store_true", help="exit 1 where a ratio is worse than the baseline's")
-    add("--only", choices=("frame rate", "rivals", "growth"), help="one part; not with --gate")
+    add("--only", choices=PARTS, help="one part; not with --gate")
+    add("--recordings", metavar="DIR", type=Path, help="real recordings, for the headline's errors")
+    add("--detector-python", metavar="PYTHON", help="of an environment with mediapipe 0.10.21")
     add("--all-cores", action="store_true", help="do not keep to one core")
     add("--samples", type=int, metavar="N", help="of the long run; 100000 takes minutes")
     return result
@@ -54,8 +58,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"{mode}, {cores} of {os.cpu_count()}, {platform.machine()}", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         metrics, skipped = run(
-            Path(folder), options.quick, options.only, options.samples or SAMPLES
-        )
+            Path(folder), options.quick, options.only, options.samples or SAMPLES,
+            options.recordings, options.detector_python,
+        )  # fmt: skip
     baseline = read_baseline(mode)
     print(table(metrics, baseline))
     if options.json:

@@ -45,6 +45,16 @@ class Footage:
         still = replace(source, path=None, offset=0.0, frames=(self.times, self.images))
         return replace(self.recording, videos=(still,))
 
+    def first(self, frames: int) -> "Footage":
+        """So many of its first frames, and the markers until the last of them."""
+        kept = self.recording.times <= self.times[frames - 1]
+        recording = replace(
+            self.recording,
+            times=self.recording.times[kept],
+            positions_world=self.recording.positions_world[kept],
+        )
+        return Footage(recording, self.times[:frames], self.images[:frames])
+
 
 def film(folder: Path, seconds: float) -> Footage:
     """Table tennis, 640 x 480 at 30 Hz, markers at 90 Hz."""

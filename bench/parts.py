@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 from tqdm import tqdm
 
-from bench import against_reference, frame_rate, growth, rivals
+from bench import against_reference, frame_rate, growth, headline, rivals
 from bench.footage import film
 from bench.metrics import Metric
 
@@ -18,15 +18,22 @@ CLIP_S = {True: 1.5, False: 2.0}
 
 
 def run(
-    folder: Path, quick: bool, only: str | None = None, samples: int = growth.SAMPLES
+    folder: Path,
+    quick: bool,
+    only: str | None = None,
+    samples: int = growth.SAMPLES,
+    recordings: Path | None = None,
+    detector_python: str | None = None,
 ) -> tuple[list[Metric], list[str]]:
     """All parts, or one.
 
     Args:
         folder: to put recordings in.
         quick: only what takes less than a minute.
-        only: of "frame rate", "rivals" and "growth".
+        only: of "frame rate", "rivals", "growth" and "headline"; the last by its name alone.
         samples: of the long run.
+        recordings: real ones, for the headline.
+        detector_python: of an environment with MediaPipe, for the headline.
 
     Returns:
         The figures, and parts of the names of ratios that rivals not installed leave out.
@@ -34,6 +41,9 @@ def run(
     cv2.setNumThreads(1)
     metrics: list[Metric] = []
     skipped: list[str] = []
+    if only == "headline":
+        found = headline.measure(folder, recordings, detector_python)
+        return list(shown("headline", found)), skipped
     footage = film(folder, CLIP_S[quick])
     if only in (None, "frame rate"):
         metrics += shown("frame rate", frame_rate.measure(footage, quick))
