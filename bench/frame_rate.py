@@ -147,6 +147,7 @@ def measure(footage: Footage, quick: bool) -> Iterator[Metric]:
     yield from at_one_size("640x480", pace)
     # The tracker's own loop refines at every frame; smoothed, it is asked at some of them.
     alone = make_tracker(footage.recording, replace(tracker.settings, smooth=False))
+    causal(alone, footage, footage.images.__getitem__, chain)
     loop = causal(alone, footage, footage.images.__getitem__, chain)
     yield from over_chain(pace, loop)
     yield Metric("memory, most so far", peak_mib(), "MiB")
