@@ -19,7 +19,8 @@ STAGES = {
     "refine": "refine: search, simplex, balance",
     "smooth": "smooth: silhouettes, the newest frames together",
 }
-REST, LIMIT = "the rest: crossings, reports", 2.0
+# Smoothed, frames are observed and refined where the smoothing asks for it: that is of the rest.
+REST, LIMIT = "the rest: crossings, reports; smoothed, what is refined on demand", 2.0
 COLOURS = {"observe": "C0", "solve": "C2", "refine": "C1", "smooth": "C3", "rest": "0.7"}
 
 
@@ -33,17 +34,18 @@ def stages_over_chain(figures: dict[str, float]) -> dict[str, dict[str, float]]:
     frame = ["observe", "solve", "refine"]
     return {
         "frame by frame": bar(frame, "tracker_step_over_image_chain"),
-        "causal, smoothed": bar([*frame, "smooth"], "step_over_image_chain"),
+        "causal, smoothed": bar(["solve", "smooth"], "step_over_image_chain"),
     }
 
 
 def draw(axes: Axes, bars: dict[str, dict[str, float]]) -> None:
     """Stacked bars with their sums, and the limit."""
-    colours = STAGES | {"rest": REST}
-    for row, (name, parts) in enumerate(bars.items()):
+    colours, named = STAGES | {"rest": REST}, set()
+    for row, parts in enumerate(bars.values()):
         left = 0.0
         for stage, size in parts.items():
-            label = colours[stage] if name == list(bars)[-1] else None
+            label = None if stage in named else colours[stage]
+            named.add(stage)
             axes.barh(row, size, left=left, color=COLOURS[stage], label=label)
             if size > 0.7:
                 axes.text(left + size / 2, row, f"{size:.1f}", ha="center", va="center")
