@@ -57,7 +57,7 @@ KEPT_FRAMES = 3
 KEPT_S = 0.2
 # Events that wait for the next video frame before the window is solved without one.
 MOST_WAITING = 6
-# Deviations are found anew for the poses given out at one in so many video frames.
+# Deviations are found at one video frame in so many, and hold until the next one.
 SURE_EVERY = 5
 # Deviation of an elbow from which the tracker's own opinion is asked for, metres.
 UNSURE_M = 0.045
@@ -77,7 +77,7 @@ class SmoothedPose(NamedTuple):
         time: of its event, seconds.
         pose: smoothed.
         deviations: (L, 3) standard deviations of the landmarks' coordinates, world, metres; found
-            anew at every ``SURE_EVERY``th video frame.
+            at every ``SURE_EVERY``th video frame.
         from_prior: (L,) 1 where markers and video leave a landmark almost as uncertain as it is
             without them, else 0.
     """
@@ -258,7 +258,7 @@ class FixedLagSmoother:
         return given
 
     def _deviations(self, newest: int) -> tuple[np.ndarray, np.ndarray]:
-        """Of what is given out with an event, found anew every few frames."""
+        """Of what is given out with an event, found every few frames."""
         self._frames_since_sure += 1
         if self._sure is None or self._frames_since_sure >= SURE_EVERY:
             variances = self._window.variances([newest])

@@ -115,8 +115,8 @@ def _expected(skeleton: Skeleton, last: Array, alone: Array) -> Array:
         before, now = map(unpack, pair)
         moved = retract(pose, difference(now, before))
         R = quaternion_to_matrix(now.quaternion)
-        told = Expected(moved, R[:2, 0], R[:2, 2], landmarks(skeleton, now)[ANKLES])
-        return moved, packed(told)
+        ankles = landmarks(skeleton, now)[ANKLES]
+        return moved, packed(Expected(moved, R[:2, 0], R[:2, 2], ankles))
 
     return jax.lax.scan(one, unpack(last), (alone[:-1], alone[1:]))[1]
 
