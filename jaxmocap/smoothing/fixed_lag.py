@@ -232,8 +232,8 @@ class FixedLagSmoother:
 
     def _settle(self, final: bool) -> list[SmoothedPose]:
         """Solve the window, give out what has waited long enough, forget and learn."""
-        # Band matrices are narrow: BLAS's threads would only wait for one another.
         self._gather()
+        # Band matrices are narrow: BLAS's threads would only wait for one another.
         with self._blas.limit(limits=1, user_api="blas"):
             solved = self._window.solve()
             given = self._give(final)
@@ -251,7 +251,7 @@ class FixedLagSmoother:
         self._correct()
         given = [
             SmoothedPose(event.number, event.time, self._faded(event), deviations, from_prior)
-            for event in [events[i] for i in ready]
+            for event in (events[i] for i in ready)
         ]
         self._keep_last(ready[-1])
         self._given = given[-1].number + 1

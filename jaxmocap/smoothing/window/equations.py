@@ -1,7 +1,7 @@
 """The equations of a window: a quadratic for each event, tied by the prior on the motion.
 
-    event    terms and silhouettes about a pose -> LinearEvent, kept while it stays near there
-    window   LinearEvents + the marginal prior  -> WindowEquations, a banded Cholesky factor
+    event    terms and silhouettes about a pose -> LinearEvent
+    window   LinearEvents + the marginal prior  -> WindowEquations, by a banded Cholesky factor:
              steps of all events;  variances of some;  the marginal prior of those that stay
 
 Unknowns are tangent steps (T, N) from the poses about which the events were linearised. What leaves

@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
@@ -53,12 +52,6 @@ EVENTS_A_CALL = 16
 # A silhouette's quadratic holds while no landmark moves farther than this, metres: about half a
 # cell, over which its borders fade.
 NEAR_M = 0.012
-
-
-@program("quick")
-def _landmarks(skeleton: Skeleton, poses: Array) -> Array:
-    """(T, L, 3) of packed poses (T, 7 + D)."""
-    return jax.vmap(landmarks, (None, 0))(skeleton, unpack(poses))
 
 
 @program("quick")
@@ -125,10 +118,11 @@ class Window:
     def solve(self) -> WindowEquations:
         """Move all events' poses to where they cost least; the equations that say so."""
         self._linearise()
-        equations = self._rival() or self._equations()
         # The motion prior ties three events; fewer stay where they are expected.
-        if len(self.events) > REACH:
-            self._move(equations.steps(DAMPING))
+        if len(self.events) <= REACH:
+            return self._equations()
+        equations = self._rival() or self._equations()
+        self._move(equations.steps(DAMPING))
         return equations
 
     def variances(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -245,18 +239,15 @@ class Window:
 
     def _refined(self) -> np.ndarray:
         """(T, 7 + D) where the tracker has the events, or the last one before that it refined."""
-        refined = [i for i, event in enumerate(self.events) if event.refined is not None]
-        count = len(self.events)
-        sources = [max([i for i in refined if i <= k], default=refined[0]) for k in range(count)]
-        some = [self.events[i] for i in sources]
-        poses, before, now = (
-            np.stack(each)
-            for each in zip(
-                *((a.refined, a.alone, b.alone) for a, b in zip(some, self.events, strict=True)),
-                strict=True,
-            )
-        )
-        return moved(self._model.skeleton, poses, offsets(now, before))[0]
+        source = next(event for event in self.events if event.refined is not None)
+        poses, before = [], []
+        for event in self.events:
+            source = event if event.refined is not None else source
+            poses.append(source.refined)
+            before.append(source.alone)
+        # As the markers' pose has moved since.
+        since = offsets(np.stack([event.alone for event in self.events]), np.stack(before))
+        return moved(self._model.skeleton, np.stack(poses), since)[0]
 
     def _from(self, poses: np.ndarray) -> WindowEquations:
         """All events about other packed poses (T, 7 + D), without a marginal prior."""
@@ -270,9 +261,9 @@ class Window:
         """Whether the tracker has an elbow elsewhere in a frame, and is sure of it."""
         if not newest.frames or newest.refined is None:
             return False
-        ours = _linear(newest).points.reshape(-1, 3)[ELBOWS]
-        theirs = np.asarray(_landmarks(self._model.skeleton, newest.refined[None]))[0, ELBOWS]
-        apart = np.linalg.norm(theirs - ours, axis=-1)
+        still = np.zeros((1, len(newest.step)))
+        _, points = moved(self._model.skeleton, newest.refined[None], still)
+        apart = np.linalg.norm((points[0] - _linear(newest).points).reshape(-1, 3)[ELBOWS], axis=-1)
         return bool(((apart > RIVAL_M) & (newest.elbow_deviations < RIVAL_DEVIATION_M)).any())
 
 
