@@ -18,7 +18,7 @@ from jaxmocap.capture.video import FrameSource
 from jaxmocap.evidence.appearance.learned import ROWS, Drawing, learn_appearance
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.images.background_model import Background, as_learned, spread
+from jaxmocap.images.background_model import Background, exposure, regained, spread
 from jaxmocap.images.foreground import shrink
 from jaxmocap.smoothing.batch import CameraFrames
 from jaxmocap.smoothing.problem import FirstPass
@@ -74,8 +74,9 @@ def _flat_frames(video: FrameSource, background: Background) -> Iterator[np.ndar
 
 def flat_frame(image: np.ndarray, background: Background) -> np.ndarray:
     """One frame (H, W, 3) uint8, grey, before its background (h, w) made flat."""
-    small, agreement = as_learned(shrink(image, ROWS), background)
-    away = np.abs(small.astype(np.float32) - background.colour).max(-1) / background.noise
+    small = shrink(image, ROWS)
+    gains, agreement = exposure(small, background)
+    away = np.abs(regained(small, gains).astype(np.float32) - background.colour).max(-1) / background.noise
     differs = np.clip((away - ALIKE) / (DIFFERENT - ALIKE), 0, 1)
     # Where the background was not learned, or this is not that room, nothing is alike.
     share = 1 - agreement * background.certainty * (1 - differs)

@@ -56,9 +56,9 @@ class RunningColours:
 
 def colour_bins(image: np.ndarray) -> np.ndarray:
     """Histogram bin (...) of every pixel of an image (..., 3) uint8."""
-    levels = (image.reshape(-1, 1, 3) // (256 // LEVELS)).astype(np.uint16)
+    levels = (image.reshape(-1, 1, 3) // (256 // LEVELS)).astype(np.float32)
     places = np.array([[LEVELS**2, LEVELS, 1.0]])
-    return cv2.transform(levels, places).reshape(image.shape[:-1])
+    return cv2.transform(levels, places).astype(np.uint16).reshape(image.shape[:-1])
 
 
 def learn_colours(frames: np.ndarray, cores: np.ndarray, bodies: np.ndarray) -> Colours:

@@ -11,13 +11,22 @@ OUTPUTS: log-odds (h, w) float32, positive where the person is; grids of probabi
 import cv2
 import numpy as np
 
-from jaxmocap.images.background_model import Background, as_learned, learn_background, spread
+from jaxmocap.images.background_model import (
+    Background,
+    background_of,
+    equally_exposed,
+    exposure,
+    regained,
+    spread,
+)
 from jaxmocap.images.colours import Colours, colour_bins, learn_colours
 from jaxmocap.images.shadows import lit_or_shaded_density
 
 # Rows and columns of an image.
 Window = tuple[slice, slice]
 EVERYWHERE = (slice(None), slice(None))
+# What pixels (h, w) show of the person, times its weight; and the weight.
+Layers = tuple[np.ndarray, np.ndarray]
 # Log-odds are cut off here: no pixel is surer than 98 %.
 MOST_ODDS = 4.0
 # Of the background's pixels, how many show something else: passers-by, reflections, screens.
@@ -80,16 +89,15 @@ def log_odds(
     Returns:
         (h, w) of the window, float32, slightly blurred; 0 where nothing was learned.
     """
-    frame, agreement = as_learned(frame, background)
-    frame, background = frame[window], background.part(window)
+    gains, agreement = exposure(frame, background)
+    frame, background = regained(frame[window], gains), background.part(window)
     if agreement == 0:
         return np.zeros(frame.shape[:2], np.float32)
-    bins, unlike = colour_bins(frame), colours.rest / colours.body
-    lit = _like(frame, background) * ((1 - STRANGE) / colours.body)[bins]
-    certainty = background.certainty
-    odds = -cv2.log(
-        certainty * (lit + (STRANGE * unlike)[bins]) + (1 - certainty) * (unlike**alone)[bins]
-    )
+    bins, ratio = colour_bins(frame), colours.rest / colours.body
+    unlike, certainty = np.take(ratio, bins), background.certainty
+    lit = _like(frame, background) * np.take((1 - STRANGE) / colours.body, bins)
+    unlearned = (1 - certainty) * np.take(ratio**alone, bins)
+    odds = -cv2.log(certainty * (lit + STRANGE * unlike) + unlearned)
     return cv2.GaussianBlur(agreement * np.clip(odds, -MOST_ODDS, MOST_ODDS), (0, 0), SOFTNESS)
 
 
@@ -102,14 +110,21 @@ def log_odds_of(
 ) -> np.ndarray:
     """``log_odds`` (h, w) in the box about a body (h, w) bool, and 0 elsewhere."""
     odds = np.zeros(body.shape, np.float32)
-    rows, columns = (np.flatnonzero(body.any(axis)) for axis in (1, 0))
-    if len(rows):
-        tall, wide = (
-            slice(max(i[0] - AROUND_PX, 0), i[-1] + 1 + AROUND_PX) for i in (rows, columns)
-        )
-        window = tall, wide
+    window = box_about(body, AROUND_PX)
+    if window is not None:
         odds[window] = log_odds(frame, background, colours, alone, window)
     return odds
+
+
+def box_about(mask: np.ndarray, around_px: int = 0) -> Window | None:
+    """Rows and columns that hold a mask (h, w) bool, and so many more; None where it is empty."""
+    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+    if not len(rows):
+        return None
+    tall, wide = (
+        slice(max(i[0] - around_px, 0), i[-1] + 1 + around_px) for i in (rows, columns)
+    )
+    return tall, wide
 
 
 def _like(frame: np.ndarray, background: Background) -> np.ndarray:
@@ -141,16 +156,19 @@ def learn_foreground(
     """
     chosen = spread(len(frames))
     frames, cores, bodies = frames[chosen], cores[chosen], bodies[chosen]
-    colours, covered = learn_colours(frames, cores, bodies), bodies
-    background = learn_background(frames, covered)
-    for _ in range(rounds - 1):
+    box, even = box_about(bodies.any(0)), equally_exposed(frames, ~bodies)
+    background, colours = background_of(even, ~bodies), learn_colours(frames, cores, bodies)
+    for _ in range(rounds - 1 if box is not None else 0):
         odds = np.stack(
             [
                 log_odds_of(frame, background, colours, body, alone=0)
                 for frame, body in zip(frames, bodies, strict=True)
             ]
         )
-        background = learn_background(frames, cores | (bodies & (odds > -SURE_ODDS)))
+        free = ~(cores | (bodies & (odds > -SURE_ODDS)))
+        # Elsewhere no body hides anything: what is there is known.
+        within = background_of(even[:, *box], free[:, *box])
+        background = background.with_part(box, within)
         colours = learn_colours(frames, cores & (odds >= 0), bodies)
     return background, colours
 
@@ -172,24 +190,55 @@ def person_grid(
         weights' own mean, 0 to 1: 0 where nothing was learned and outside the image. The middle of
         cell i lies at pixel ``origin + (i + 0.5) cell``.
     """
-    weight = np.minimum(np.abs(odds) / FULL_WEIGHT_ODDS, 1)
-    inside = np.ones_like(odds)
-    layers = np.dstack([weight / (1 + cv2.exp(-odds)), weight, inside])
+    layers = weighed(odds)
+    return person_grids((layers, layers), origin_px, cell_px, size, blur)[0]
+
+
+def weighed(odds: np.ndarray) -> Layers:
+    """By log-odds (h, w): the person's probability times its weight, and that weight."""
+    weight = np.minimum(np.abs(odds) * np.float32(1 / FULL_WEIGHT_ODDS), 1)
+    return weight / (1 + cv2.exp(-odds)), weight
+
+
+def person_grids(
+    pair: tuple[Layers, Layers],
+    origin_px: np.ndarray,
+    cell_px: float,
+    size: int,
+    blur: float = 0.5,
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """``person_grid`` of two ``weighed`` at once, since OpenCV is fastest with four channels."""
     finer = max(1, int(np.ceil(cell_px)))
     step = cell_px / finer
     x, y = np.asarray(origin_px, float) + step / 2
     fine = cv2.warpAffine(
-        layers,
+        cv2.merge([*pair[0], *pair[1]]),
         np.array([[step, 0, x], [0, step, y]]),
         (size * finer, size * finer),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
     )
     coarse = cv2.resize(fine, (size, size), interpolation=cv2.INTER_AREA)
-    outside = coarse[..., 2] < 0.5
+    along = step * np.arange(size * finer)
+    inside = [_inside(first + along, end, size) for first, end in zip((y, x), pair[0][0].shape, strict=True)]
+    outside = inside[0] * inside[1].T < 0.5
     if blur > 0:
-        coarse = cv2.GaussianBlur(coarse, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
-    person, total, weight_sum = np.moveaxis(coarse, -1, 0)
-    probability = (person + 0.5e-3) / (total + 1e-3)
-    return probability, np.where(outside, 0, total / np.maximum(weight_sum, 1e-3)).astype(
-        np.float32
-    )
+        coarse, *inside = (
+            cv2.GaussianBlur(each, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
+            for each in (coarse, *inside)
+        )
+    shown = np.maximum(inside[0] * inside[1].T, 1e-3)
+    person, total, other_person, other_total = cv2.split(coarse)
+    return [
+        ((there + np.float32(0.5e-3)) / (all_ + np.float32(1e-3)),
+         np.where(outside, np.float32(0), all_ / shown))
+        for there, all_ in ((person, total), (other_person, other_total))
+    ]  # fmt: skip
+
+
+def _inside(at_px: np.ndarray, end: int, size: int) -> np.ndarray:
+    """Which share (size, 1) float32 of each cell lies within ``end`` pixels, as OpenCV fades them.
+
+    ``at_px`` are the rows or columns, the same number to each cell, that are looked at.
+    """
+    shown = np.clip(np.minimum(at_px + 1, end - at_px), 0, 1)
+    return shown.reshape(size, -1).mean(1, keepdims=True).astype(np.float32)

@@ -45,13 +45,15 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import with_deviations
 
 # Cells over which silhouettes fade, from solve to solve: roughly at first,
-ROUGHLY = (3.0, 1.5)
+ROUGHLY = (1.5,)
 # while elbows are decided,
 DECIDING = (1.5,)
 # and in the end as they were measured.
-FINELY = (1.5, 0.8)
+FINELY = (0.8,)
 # A solve that only prepares the next look ends where the cost falls by no more than this share.
 PREPARED = 1e-3
+# Background and colours are learned from so many frames.
+LEARNED_FRAMES = 30
 # So many times candidates decide where the elbows are.
 DECISIONS = 2
 
@@ -215,7 +217,8 @@ def _views_of(person: Model, own: CameraFrames, poses: Pose) -> Views:
     """Grids of all of one camera's frames, of a background learned from some of them."""
     camera, skeleton = person.camera(own.camera), person.skeleton
     # The frames' own size: a video may be cropped against its calibration.
-    drawing, chosen = Drawing.of(skeleton, camera, own.video.size, poses), spread(len(own.events))
+    drawing = Drawing.of(skeleton, camera, own.video.size, poses)
+    chosen = spread(len(own.events), LEARNED_FRAMES)
     feet_astray = person.no_foot_is_marked
     appearance = learn_appearance(drawing, chosen, own.images(chosen), feet_astray)
     every = own.images(np.arange(len(own.events)))

@@ -136,6 +136,7 @@ class Trajectory(NamedTuple):
 
 
 _retract = jax.jit(jax.vmap(retract))
+_turned = jax.jit(jax.vmap(turned))
 
 
 def moved_by(trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray) -> Trajectory:
@@ -154,8 +155,7 @@ def all_turned(cameras: Camera | None, turns_cam: Array | np.ndarray) -> Camera:
     assert cameras is not None
     if not len(turns_cam):
         return cameras
-    turns = jnp.asarray(turns_cam, cameras.T_cam_world.dtype)
-    return jax.vmap(turned)(jax.tree.map(jnp.asarray, cameras), turns)
+    return _turned(cameras, jnp.asarray(turns_cam, cameras.T_cam_world.dtype))
 
 
 def shared_prior(

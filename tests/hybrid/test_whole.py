@@ -68,9 +68,9 @@ def both_ways(recording, tracker):
 
 
 def assert_same(actual, expected):
-    """To float32's tolerance, over many iterations."""
+    """To two millimetres: where a simplex is flat, float32's rounding spreads so far."""
     for own, other in zip(jax.tree.leaves(actual), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_allclose(own, other, atol=1e-3, rtol=1e-3)
+        np.testing.assert_allclose(own, other, atol=2e-3, rtol=1e-3)
 
 
 def test_two_scans_find_what_the_steps_find(both_ways):

@@ -14,9 +14,10 @@ from jaxmocap.images.background_model import (
     LEAST_NOISE,
     Background,
     RunningBackground,
-    as_learned,
+    exposure,
     learn_background,
     ranked,
+    regained,
 )
 from jaxmocap.images.colours import BINS, Colours, RunningColours, colour_bins, learn_colours
 from jaxmocap.images.foreground import (
@@ -154,7 +155,8 @@ def test_gain_is_read_past_somebody_in_the_way():
     frames, _, reach = clip(walking())
     background = learn_background(frames, reach)
     brighter = np.clip(frames[5] * np.array([1.2, 1.1, 0.9]), 0, 255).astype(np.uint8)
-    restored, agreement = as_learned(brighter, background)
+    gains, agreement = exposure(brighter, background)
+    restored = regained(brighter, gains)
     free = np.logical_not(reach[5])
     assert agreement == 1
     assert np.abs(restored[free] - background.colour[free]).mean() < 2

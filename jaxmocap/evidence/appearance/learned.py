@@ -8,7 +8,7 @@ INPUTS: poses of the person, frames. OUTPUTS: an AppearanceModel; a SilhouetteGr
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import jax
@@ -33,12 +33,14 @@ from jaxmocap.images.background_model import Background
 from jaxmocap.images.colours import Colours, learn_colours
 from jaxmocap.images.foreground import (
     AROUND_PX,
+    Layers,
     Window,
     learn_foreground,
     log_odds,
     log_odds_of,
-    person_grid,
+    person_grids,
     shrunk_size,
+    weighed,
 )
 from jaxmocap.images.regions import Region, region_of_side
 from jaxmocap.images.silhouette_grid import Grid
@@ -152,9 +154,7 @@ class Drawing:
 
         ``only`` and ``without`` name groups of bones or their parts.
         """
-        bones = np.arange(len(self.tree.bones))
-        kept = np.isin(bones, bones if only is None else self.tree.bones_in(*only))
-        kept &= ~np.isin(bones, self.tree.bones_in(*without))
+        kept = _bones_but(self.tree, None if only is None else tuple(only), tuple(without))
         near, far, radii = (each[frame][kept] for each in self.discs)
         ends = [near + at * (far - near) for at in part]
         widths = radii[:, :1] + np.array(part) * (radii[:, 1:] - radii[:, :1])
@@ -176,6 +176,15 @@ class Drawing:
         """Where (h, w) the person is not like what is drawn."""
         shoes = self.mask(frame, 1.0, SHOE_M * float(self.per_metre[frame]), only=("foot",))
         return self.mask(frame, GROWN, only=("head", "hip")) | shoes
+
+
+@lru_cache(maxsize=64)
+def _bones_but(
+    tree: Tree, only: tuple[str, ...] | None, without: tuple[str, ...]
+) -> np.ndarray:
+    """Rows of the bones of some groups or parts, None for all, but not those of others."""
+    bones = np.arange(len(tree.bones)) if only is None else tree.bones_in(*only)
+    return np.setdiff1d(bones, tree.bones_in(*without))
 
 
 class Regions(NamedTuple):
@@ -306,12 +315,13 @@ def body_grids(
     forearms = part_odds(image[window], odds[window], learned.forearms, head)
     person = np.where(drawing.unlike(frame)[window], np.float32(0), odds[window])
 
-    def grid(odds: np.ndarray, region: Region, cells: int) -> Grid:
-        origin = np.asarray(region.origin) - corner
-        return Grid(*person_grid(odds, origin, float(region.scale), cells))
+    def grids(others: Layers, region: Region, cells: int) -> list[Grid]:
+        origin, both = np.asarray(region.origin) - corner, (layers, others)
+        return [Grid(*each) for each in person_grids(both, origin, float(region.scale), cells)]
 
-    person_image, part = (grid(each, upper, on_upper) for each in (person, forearms))
-    legs = LegGrid(regions.lower, grid(person, lower, on_legs))
+    layers = weighed(person)
+    person_image, part = grids(weighed(forearms), upper, on_upper)
+    legs = LegGrid(regions.lower, grids(layers, lower, on_legs)[0])
     return odds, SilhouetteGrids(regions.upper, person_image, part, legs)
 
 

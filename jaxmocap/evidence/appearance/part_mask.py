@@ -25,7 +25,7 @@ def part_odds(
         colours: of the part against the rest of the body.
         elsewhere: (h, w) bool, where something else may have the part's colours: weighs nothing.
     """
-    ratio = np.log(colours.body / colours.rest)[colour_bins(frame)]
+    ratio = np.take(np.log(colours.body / colours.rest), colour_bins(frame))
     odds = np.clip(np.minimum(ratio, person + BENEFIT), -MOST_ODDS, MOST_ODDS)
     odds = cv2.GaussianBlur(odds.astype(np.float32), (0, 0), SOFTNESS)
     return np.where(elsewhere, np.float32(0), odds)
