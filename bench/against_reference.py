@@ -130,6 +130,6 @@ def by_reference(
     goals = jax.tree.map(np.asarray, goals)
     alone, _ = reference_ik.reach(body, goals, tracker.settings.ik, state.pose)
     refined = pipeline.refine(
-        body, tracker.settings, np.asarray(state.bow_factors), alone, views, grips,
+        body, tracker.settings, np.asarray(tracker.bow_factors), alone, views, grips,
     )  # fmt: skip
     return alone, refined

@@ -76,7 +76,10 @@ def flat_frame(image: np.ndarray, background: Background) -> np.ndarray:
     """One frame (H, W, 3) uint8, grey, before its background (h, w) made flat."""
     small = shrink(image, ROWS)
     gains, agreement = exposure(small, background)
-    away = np.abs(regained(small, gains).astype(np.float32) - background.colour).max(-1) / background.noise
+    away = (
+        np.abs(regained(small, gains).astype(np.float32) - background.colour).max(-1)
+        / background.noise
+    )
     differs = np.clip((away - ALIKE) / (DIFFERENT - ALIKE), 0, 1)
     # Where the background was not learned, or this is not that room, nothing is alike.
     share = 1 - agreement * background.certainty * (1 - differs)

@@ -171,7 +171,7 @@ def starting(tracker: HybridTracker, footage: Footage) -> Iterator[Metric]:
     solved = SOLVE(*solve)
     fields, _ = observe(settings, state.thresholds, [footage.images[0]], solved.region)
     elapsed = np.asarray(0.0, model.dtype)
-    refine = (model, settings, state.bow_factors, solved, targets, fields, state.belief, elapsed)
+    refine = (model, settings, tracker.bow_factors, solved, targets, fields, state.belief, elapsed)
     yield from start_up("start: refine", REFINE, *refine)
 
 

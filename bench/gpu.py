@@ -31,7 +31,6 @@ from jaxmocap.evidence.silhouettes import LegGrid, SilhouetteGrids
 from jaxmocap.hybrid.observe import observe
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import (
-    SOLVE_EVENTS,
     EventFields,
     RefineInputs,
     refine_events,
@@ -102,7 +101,7 @@ def refining(tracker: HybridTracker, footage: Footage, size: int) -> Work:
     """Markers' poses and images of all events to refined poses; the images are the same for all."""
     state, markers, images = _clip(tracker, footage)
     model, settings = tracker.model, tracker.settings
-    _, solved = SOLVE_EVENTS(model, settings, (state.pose, state.feet), markers)
+    _, solved = jax.jit(solve_events)(model, settings, (state.pose, state.feet), markers)
     fields = _fields(tracker, state, images, jax.tree.map(np.asarray, solved.region))
     elapsed = np.full(EVENTS, 1 / RATE_HZ, markers.dtype)
     elapsed[0] = 0.0
@@ -114,7 +113,7 @@ def refining(tracker: HybridTracker, footage: Footage, size: int) -> Work:
     over = jax.vmap(refined, (None, None, None, None, 0, None))
     call = lambda *given: over(*given)[1]  # noqa: E731
     events = RefineInputs(solved, markers, fields, elapsed)
-    return call, (model, settings, state.bow_factors, events, many, state.belief)
+    return call, (model, settings, tracker.bow_factors, events, many, state.belief)
 
 
 def rasters(footage: Footage, size: int) -> Work:

@@ -55,13 +55,11 @@ class Start(NamedTuple):
         pose: of the first markers.
         feet: where they stand.
         belief: about the elbows.
-        bow_factors: (3,) p_i of the balance heuristic.
     """
 
     pose: Pose
     feet: FootPlacement
     belief: ElbowBelief
-    bow_factors: Array
 
 
 class EventFields(NamedTuple):
@@ -96,9 +94,21 @@ class EventFields(NamedTuple):
         return cls(distances, available, which)
 
 
+def placed(model: Model, settings: Settings, targets: Array) -> Start:
+    """The body placed by its first markers (M, 3): it is not at rest on them yet."""
+    pose, feet = place(model, settings.ik, targets)
+    return Start(pose, feet, no_belief(settings.elbow_search, pose))
+
+
+def balanced_by(model: Model, settings: Settings) -> Array:
+    """(3,) p_i of the balance heuristic, for a person; 0 without it."""
+    if settings.balance == "none":
+        return jnp.zeros(3, model.dtype)
+    return bow_factors(model.skeleton, settings.ik)
+
+
 def start(model: Model, settings: Settings, targets: Array) -> Start:
     """Place the body by its first markers (M, 3), and let it come to rest on them."""
-    pose, feet = place(model, settings.ik, targets)
 
     def unsettled(carry: tuple[Array, Array, Pose, FootPlacement]) -> Array:
         count, turned, _, _ = carry
@@ -112,14 +122,10 @@ def start(model: Model, settings: Settings, targets: Array) -> Start:
         turned = jnp.max(jnp.abs(ik.pose.angles - pose.angles))
         return count + 1, turned, ik.pose, ik.feet
 
-    far = jnp.asarray(jnp.inf, targets.dtype)
-    belief = no_belief(settings.elbow_search, pose)
-    first = (jnp.zeros((), jnp.int32), far, pose, feet)
+    begun, far = placed(model, settings, targets), jnp.asarray(jnp.inf, targets.dtype)
+    first = (jnp.zeros((), jnp.int32), far, begun.pose, begun.feet)
     _, _, pose, feet = jax.lax.while_loop(unsettled, settle, first)
-    factors = jnp.zeros(3, targets.dtype)
-    if settings.balance != "none":
-        factors = bow_factors(model.skeleton, settings.ik)
-    return Start(pose, feet, belief, factors)
+    return begun._replace(pose=pose, feet=feet)
 
 
 def solve(
@@ -207,10 +213,11 @@ def refine_events(
 
 # What runs once is not optimised. Live, the tenth that an image's refinement would take longer
 # counts; offline the first start.
-START = Program(start, "start", effort="once")
+PLACE = Program(placed, "place", effort="once")
+BALANCE = Program(balanced_by, "balance", effort="once")
 SOLVE = Program(solve, "solve", effort="quick")
 REFINE = Program(refine, "refine", effort="full")
-SOLVE_EVENTS = Program(solve_events, "solve_events", effort="quick")
+SEARCH = Program(refine, "search", effort="quick")
 REFINE_EVENTS = Program(refine_events, "refine_events", effort="quick")
 
 
@@ -269,15 +276,24 @@ class ChunkedEvents:
         self, solve: Callable, beside: ThreadPoolExecutor
     ) -> Iterator[tuple[range, Solved, Future[tuple[EventFields | None, int]]]]:
         """All chunks in turn, each solved, and observed beside."""
-        model, settings = self._model, self._settings
         last, total = self._first, len(self._times)
         for first in range(0, total, EVENTS):
             events = range(first, min(first + EVENTS, total))
             markers = self.markers(self.rows(events))
             last, solved = self._clock.timed(
-                "solve", solve, model, settings, last, markers, among=EVENTS
+                "solve", self._each, solve, last, markers, among=EVENTS
             )
             yield events, solved, beside.submit(self._observed, events, solved)
+
+    def _each(
+        self, solve: Callable, last: tuple[Pose, FootPlacement], markers: np.ndarray
+    ) -> tuple[tuple[Pose, FootPlacement], Solved]:
+        """``solve_events`` one by one, so that they need no program of their own."""
+        every = []
+        for targets in markers:
+            every.append(solve(self._model, self._settings, *last, targets))
+            last = every[-1].ik.pose, every[-1].ik.feet
+        return last, jax.tree.map(lambda *parts: np.stack(parts), *every)
 
     def _observed(self, events: range, solved: Solved) -> tuple[EventFields | None, int]:
         """Fields of a chunk's images, in order: thresholds are remembered; how many have one."""

@@ -21,6 +21,7 @@ from jaxmocap.body.model import Model, Recorded, marker_sites, on_unmarked_feet
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.clock import Clock
+from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.elbow_search import ElbowBelief
 from jaxmocap.hybrid.feet import FootPlacement
@@ -28,12 +29,15 @@ from jaxmocap.hybrid.observe import ArmThresholds, no_thresholds, observe
 from jaxmocap.hybrid.refine import Solved, StepReport
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import (
+    AT_REST_RAD,
+    BALANCE,
     EVENTS,
+    MOST_SETTLING,
+    PLACE,
     REFINE,
     REFINE_EVENTS,
+    SEARCH,
     SOLVE,
-    SOLVE_EVENTS,
-    START,
     Chunk,
     ChunkedEvents,
     EventFields,
@@ -51,7 +55,6 @@ class State(NamedTuple):
         pose: of the markers alone.
         feet: where they stand.
         belief: about the elbows, by the video.
-        bow_factors: (3,) of the balance heuristic, for this person.
         thresholds: of edges in the arms' regions.
         time: of the last event that was refined, seconds; None before the first.
     """
@@ -59,7 +62,6 @@ class State(NamedTuple):
     pose: Pose
     feet: FootPlacement
     belief: ElbowBelief
-    bow_factors: Array
     thresholds: ArmThresholds
     time: float | None
 
@@ -92,7 +94,11 @@ class HybridTracker:
         if chosen.ik.feet == "follow":
             self.model = on_unmarked_feet(self.model)
         self.settings = chosen if self.model.camera_count else replace(chosen, refine="none")
-        self._compiling: tuple[Callable, Callable] | None = None
+        self._solve: Callable[[], Callable] | None = None
+        self._refine: Callable[[], Callable] | None = None
+        self._refine_events: Callable[[], Callable] | None = None
+        self._balance: Callable[[], Callable] | None = None
+        self._bow_factors: Array | None = None
 
     @classmethod
     def from_recording(
@@ -111,11 +117,26 @@ class HybridTracker:
 
     def by_search(self) -> "HybridTracker":
         """The same, where nothing follows the search for the elbows."""
+        if self.settings.refine in ("none", "search"):
+            return self
         other = copy(self)
-        other._compiling = None
-        if self.settings.refine != "none":
-            other.settings = replace(self.settings, refine="search")
+        other.settings = replace(self.settings, refine="search")
+        other._solve = other._refine = other._refine_events = None
         return other
+
+    def compile_ahead(self, scan: bool = False) -> None:
+        """Begin to compile what ``init`` and ``step``, or ``scan``, need, in threads beside."""
+        self._solving()
+        (self._refining_events if scan else self._refining)()
+        self._balancing()
+
+    @property
+    def bow_factors(self) -> Array:
+        """(3,) of the balance heuristic, for this person."""
+        factors = self._bow_factors
+        if factors is None:
+            self._bow_factors = factors = self._balancing()()(self.model, self.settings)
+        return factors
 
     def init(self, markers_world: np.ndarray | Array) -> State:
         """The state before the first event, at rest on its (M, 3) markers; NaN where missing.
@@ -123,10 +144,18 @@ class HybridTracker:
         Raises:
             ValueError: other markers than the model's.
         """
-        first = self.model, self.settings, self._targets(markers_world)
-        begun = START.lowered(*first)()(*first)
+        targets, solving = self._targets(markers_world), self._solving()
+        self._balancing()
+        begun = PLACE(self.model, self.settings, targets)
+        pose, feet = begun.pose, begun.feet
+        for _ in range(MOST_SETTLING):
+            ik = solving()(self.model, self.settings, pose, feet, targets).ik
+            turned = np.abs(np.asarray(ik.pose.angles) - np.asarray(pose.angles)).max()
+            pose, feet = ik.pose, ik.feet
+            if turned < AT_REST_RAD:
+                break
         thresholds = no_thresholds(self.model.camera_count)
-        return State(begun.pose, begun.feet, begun.belief, begun.bow_factors, thresholds, None)
+        return State(pose, feet, begun.belief, thresholds, None)
 
     def step(
         self,
@@ -153,7 +182,8 @@ class HybridTracker:
         """
         model, settings, clock = self.model, self.settings, clock or Clock(False)
         targets = self._targets(markers_world)
-        solved = clock.timed("solve", SOLVE, model, settings, state.pose, state.feet, targets)
+        solve = self._solving()()
+        solved = clock.timed("solve", solve, model, settings, state.pose, state.feet, targets)
         fields, thresholds = None, state.thresholds
         if solved.region is not None:
             fields, thresholds = clock.timed(
@@ -161,12 +191,10 @@ class HybridTracker:
             )
         elapsed = np.asarray(0.0 if state.time is None else time - state.time, model.dtype)
         belief, pose, report = clock.timed(
-            "refine", REFINE, model, settings, state.bow_factors, solved, targets, fields,
-            state.belief, elapsed,
+            "refine", self._refining()(), model, settings, self.bow_factors, solved, targets,
+            fields, state.belief, elapsed,
         )  # fmt: skip
-        after = State(
-            solved.ik.pose, solved.ik.feet, belief, state.bow_factors, thresholds, float(time)
-        )
+        after = State(solved.ik.pose, solved.ik.feet, belief, thresholds, float(time))
         return after, pose, report
 
     def solve(
@@ -189,9 +217,8 @@ class HybridTracker:
             ValueError: other markers than the model's.
         """
         targets, clock = self._targets(markers_world), clock or Clock(False)
-        solved = clock.timed(
-            "solve", SOLVE, self.model, self.settings, state.pose, state.feet, targets
-        )
+        given = self.model, self.settings, state.pose, state.feet, targets
+        solved = clock.timed("solve", self._solving()(), *given)
         after = state._replace(pose=solved.ik.pose, feet=solved.ik.feet)
         return after, solved.ik.pose, _unrefined(solved, targets)
 
@@ -230,7 +257,7 @@ class HybridTracker:
             self.model, self.settings, (state.pose, state.feet), state.thresholds,
             np.asarray(times, float), markers_world, images, clock,
         )  # fmt: skip
-        solving, refining = self._beside(markers_world.shape[1])
+        solving, refining = self._solving(), self._refining_events()
         refine, belief = None, state.belief
         with ThreadPoolExecutor(1, "observe") as beside:
             for events, solved, observed in one_ahead(scan.solved(solving(), beside)):
@@ -239,43 +266,72 @@ class HybridTracker:
                 rows = scan.rows(events)
                 inputs = RefineInputs(solved, scan.markers(rows), fields, scan.elapsed(rows))
                 belief, result = clock.timed(
-                    "refine", refine, self.model, self.settings, state.bow_factors, inputs,
+                    "refine", refine, self.model, self.settings, self.bow_factors, inputs,
                     belief, among=EVENTS,
                 )  # fmt: skip
                 keep = slice(len(events))
                 poses, reports = jax.tree.map(lambda part, k=keep: np.asarray(part)[k], result)
                 yield Chunk(events, poses, reports, frames)
 
-    def _beside(self, count: int) -> tuple[Callable[[], Callable], Callable[[], Callable]]:
-        """What waits for either scan by so many markers; they compile beside from the first on."""
-        if self._compiling is None:
-            model, settings = self.model, self.settings
-            first = START.shapes(model, settings, self._like(count))
-            markers = np.zeros((EVENTS, count, 3), model.dtype)
-            like = model, settings, (first.pose, first.feet), markers
-            # Only the compiler runs beside: what is traced belongs to this thread's precision.
-            solving = SOLVE_EVENTS.beside(*like)
-            _, solved = SOLVE_EVENTS.shapes(*like)
-            events = RefineInputs(
-                solved, markers, self._no_fields(solved), np.zeros(EVENTS, model.dtype)
-            )
-            refining = REFINE_EVENTS.beside(
-                model, settings, first.bow_factors, events, first.belief
-            )
-            self._compiling = solving, refining
-        return self._compiling
+    def _solving(self) -> Callable[[], Callable]:
+        """What waits for ``solve``, which compiles beside from the first time on."""
+        if self._solve is None:
+            first = PLACE.shapes(self.model, self.settings, self._like())
+            like = self.model, self.settings, first.pose, first.feet, self._like()
+            self._solve = SOLVE.beside(*like)
+        return self._solve
 
-    def _no_fields(self, solved: Solved) -> EventFields | None:
-        """Of a chunk without images."""
+    def _balancing(self) -> Callable[[], Callable]:
+        """What waits for the factors of the balance heuristic, likewise."""
+        if self._balance is None:
+            self._balance = BALANCE.beside(self.model, self.settings)
+        return self._balance
+
+    def _refining(self) -> Callable[[], Callable]:
+        """What waits for ``refine`` of an event, likewise."""
+        if self._refine is None:
+            belief, solved = self._shapes()
+            given = solved, self._like(), self._no_fields(solved), belief
+            program = SEARCH if self.settings.refine == "search" else REFINE
+            self._refine = program.beside(
+                self.model, self.settings, np.zeros(3, self.model.dtype), *given,
+                np.zeros((), self.model.dtype),
+            )  # fmt: skip
+        return self._refine
+
+    def _refining_events(self) -> Callable[[], Callable]:
+        """What waits for the scan's ``refine``, likewise."""
+        if self._refine_events is None:
+            belief, one = self._shapes()
+            solved, nothing = jax.tree.map(_of_chunk, one), self._no_fields(one)
+            dtype = self.model.dtype
+            fields = None if nothing is None else EventFields.of(nothing, [None] * EVENTS)
+            given = RefineInputs(solved, _of_chunk(self._like()), fields, np.zeros(EVENTS, dtype))
+            self._refine_events = REFINE_EVENTS.beside(
+                self.model, self.settings, np.zeros(3, dtype), given, belief
+            )
+        return self._refine_events
+
+    def _shapes(self) -> tuple[ElbowBelief, Solved]:
+        """Of a belief, and of what an event's ``solve`` finds."""
+        given = self.model, self.settings
+        first = PLACE.shapes(*given, self._like())
+        return first.belief, SOLVE.shapes(*given, first.pose, first.feet, self._like())
+
+    def _no_fields(self, solved: Solved) -> EdgeFields | None:
+        """Of an event without images."""
         if solved.region is None:
             return None
-        first = jax.tree.map(lambda part: np.zeros(part.shape[1:], part.dtype), solved.region)
-        thresholds = no_thresholds(self.model.camera_count)
-        nothing, _ = observe(self.settings, thresholds, None, first)
-        return EventFields.of(nothing, [None] * EVENTS)
+        nowhere = jax.tree.map(lambda part: np.zeros(part.shape, part.dtype), solved.region)
+        return observe(self.settings, no_thresholds(self.model.camera_count), None, nowhere)[0]
 
-    def _like(self, count: int) -> jax.ShapeDtypeStruct:
-        return jax.ShapeDtypeStruct((count, 3), self.model.dtype)
+    def _like(self) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct((len(self.model.markers.bone_indices), 3), self.model.dtype)
+
+
+def _of_chunk(one: Any) -> Any:
+    """Of all events of a chunk."""
+    return jax.ShapeDtypeStruct((EVENTS, *one.shape), one.dtype)
 
 
 def _unrefined(solved: Solved, targets: np.ndarray) -> StepReport:

@@ -121,9 +121,7 @@ def box_about(mask: np.ndarray, around_px: int = 0) -> Window | None:
     rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
     if not len(rows):
         return None
-    tall, wide = (
-        slice(max(i[0] - around_px, 0), i[-1] + 1 + around_px) for i in (rows, columns)
-    )
+    tall, wide = (slice(max(i[0] - around_px, 0), i[-1] + 1 + around_px) for i in (rows, columns))
     return tall, wide
 
 
@@ -156,9 +154,13 @@ def learn_foreground(
     """
     chosen = spread(len(frames))
     frames, cores, bodies = frames[chosen], cores[chosen], bodies[chosen]
-    box, even = box_about(bodies.any(0)), equally_exposed(frames, ~bodies)
+    even = equally_exposed(frames, ~bodies)
     background, colours = background_of(even, ~bodies), learn_colours(frames, cores, bodies)
-    for _ in range(rounds - 1 if box is not None else 0):
+    # Elsewhere no body hides anything.
+    box = box_about(np.asarray(bodies.any(0)))
+    for _ in range(rounds - 1):
+        if box is None:
+            break
         odds = np.stack(
             [
                 log_odds_of(frame, background, colours, body, alone=0)
@@ -166,7 +168,6 @@ def learn_foreground(
             ]
         )
         free = ~(cores | (bodies & (odds > -SURE_ODDS)))
-        # Elsewhere no body hides anything: what is there is known.
         within = background_of(even[:, *box], free[:, *box])
         background = background.with_part(box, within)
         colours = learn_colours(frames, cores & (odds >= 0), bodies)
@@ -219,7 +220,10 @@ def person_grids(
     )
     coarse = cv2.resize(fine, (size, size), interpolation=cv2.INTER_AREA)
     along = step * np.arange(size * finer)
-    inside = [_inside(first + along, end, size) for first, end in zip((y, x), pair[0][0].shape, strict=True)]
+    inside = [
+        _inside(first + along, end, size)
+        for first, end in zip((y, x), pair[0][0].shape, strict=True)
+    ]
     outside = inside[0] * inside[1].T < 0.5
     if blur > 0:
         coarse, *inside = (

@@ -15,7 +15,7 @@ from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.hybrid.settings import Settings, SimplexSettings
-from jaxmocap.hybrid.step import EVENTS, SOLVE, SOLVE_EVENTS, EventFields, solve_events
+from jaxmocap.hybrid.step import EVENTS, SOLVE, EventFields, solve_events
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.tracking.events import RecordingEvents
@@ -68,9 +68,9 @@ def both_ways(recording, tracker):
 
 
 def assert_same(actual, expected):
-    """To two millimetres: where a simplex is flat, float32's rounding spreads so far."""
+    """To float32's tolerance, over many iterations."""
     for own, other in zip(jax.tree.leaves(actual), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_allclose(own, other, atol=2e-3, rtol=1e-3)
+        np.testing.assert_allclose(own, other, atol=1e-3, rtol=1e-3)
 
 
 def test_two_scans_find_what_the_steps_find(both_ways):
@@ -112,7 +112,7 @@ def test_recordings_side_by_side_are_solved_as_each_by_itself():
     markers[:, 4:6, 1] = np.nan
     _, together = jax.jit(jax.vmap(solve_events, (None, None, 0, 0)))(*shared, begun, markers)
     for row, (state, own) in enumerate(zip(states, markers, strict=True)):
-        _, alone = SOLVE_EVENTS(*shared, (state.pose, state.feet), own)
+        _, alone = jax.jit(solve_events)(*shared, (state.pose, state.feet), own)
         assert_same(jax.tree.map(lambda part, r=row: part[r], together), alone)
 
 

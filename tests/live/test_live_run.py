@@ -279,7 +279,7 @@ def test_why_a_camera_does_not_come_is_reported(tmp_path, monkeypatch):
 class Standing:
     """Stands in for the tracker: every sample finds somebody who stands still."""
 
-    needs_colour, placements, late_events = False, 0, 0
+    needs_colour, placements, late_events, is_ready = False, 0, 0, True
 
     def __init__(self, setup, settings, smooth):
         pose = relaxed_pose(setup.skeleton)
@@ -293,6 +293,9 @@ class Standing:
 
     def flush(self) -> list[Output]:
         return []
+
+    def close(self) -> None:
+        pass
 
 
 def test_markers_in_poses_out_and_a_recording_until_ctrl_c(tmp_path, monkeypatch):

@@ -128,7 +128,9 @@ def test_a_million_samples_come_in_and_are_recorded_in_flat_memory(tmp_path):
 def test_a_hundred_thousand_samples_are_tracked_in_flat_memory(tmp_path):
     (tmp_path / "live.toml").write_text(LIVE)
     setup = load_live(tmp_path / "live.toml")
-    run = Run(setup, None, LiveTracking(setup, Settings(refine="none"), smooth=False))
+    tracking = LiveTracking(setup, Settings(refine="none"), smooth=False)
+    tracking.wait_until_ready()
+    run = Run(setup, None, tracking)
     soak(run, 100_000)
     assert run.outputs == 100_000
 

@@ -3,6 +3,7 @@
 Both are stand-ins that keep what they are asked; the real ones have tests of their own.
 """
 
+from concurrent.futures import Future
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -111,6 +112,31 @@ def test_every_sample_gives_a_pose_at_once_and_frames_give_none(tracking):
         assert outputs[0].arrived == i / 90 + 0.002
         assert not live.frames([frame(i / 90 + 0.003)])
     assert outputs[0].confidence.tolist() == [0.25, 0.75]
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_while_programs_compile_the_markers_poses_go_out(tracking, smooth):
+    live, compiling = tracking(smooth), Future()
+    live._compiling = compiling
+    for i in range(4):
+        outputs = live.sample(sample(i / 90))
+        assert [output.time for output in outputs] == [i / 90]
+        assert outputs[0].confidence.tolist() == [0, 0]
+        assert not live.frames([frame(i / 90 + 0.003)])
+    assert not live.is_ready and not live.tracker.steps and len(live.tracker.solved) == 4
+    compiling.set_result(None)
+    assert live.is_ready
+    live.sample(sample(4 / 90))
+    live.frames([frame(4.5 / 90)])
+    assert live.tracker.steps[-1][0] == pytest.approx(4.5 / 90)
+
+
+def test_what_goes_wrong_while_programs_compile_ends_the_run(tracking):
+    live = tracking()
+    live._compiling = Future()
+    live._compiling.set_exception(MemoryError("no room"))
+    with pytest.raises(MemoryError, match="no room"):
+        live.sample(sample(0.0))
 
 
 def test_a_frame_is_refined_with_the_markers_of_its_own_time(tracking):

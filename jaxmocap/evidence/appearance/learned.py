@@ -179,9 +179,7 @@ class Drawing:
 
 
 @lru_cache(maxsize=64)
-def _bones_but(
-    tree: Tree, only: tuple[str, ...] | None, without: tuple[str, ...]
-) -> np.ndarray:
+def _bones_but(tree: Tree, only: tuple[str, ...] | None, without: tuple[str, ...]) -> np.ndarray:
     """Rows of the bones of some groups or parts, None for all, but not those of others."""
     bones = np.arange(len(tree.bones)) if only is None else tree.bones_in(*only)
     return np.setdiff1d(bones, tree.bones_in(*without))

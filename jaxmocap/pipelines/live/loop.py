@@ -47,6 +47,8 @@ LONGEST_QUEUE = 8
 HEARTBEAT_S = 0.25
 # Seconds after which Python switches threads: its default of 5 ms would add to a sample's latency.
 THREAD_SWITCH_S = 5e-4
+# While programs compile.
+COMPILING = "compiling; until that is done, poses come from the markers alone"
 
 
 class Live:
@@ -119,6 +121,7 @@ class Live:
             ending.callback(self._to_vrchat.close)
         self._trackers = Trackers(self._vmc.body, setup.trackers) if setup.vrchat else None
         self.tracking = LiveTracking(setup, settings, smooth)
+        ending.callback(self.tracking.close)
         self._confidence, self._newest_sample = np.zeros(2), -np.inf
         self._last_heartbeat, self._ended, self._frames_shown = 0.0, 0.0, {}
 
@@ -208,6 +211,8 @@ class Live:
 
     def _update_status(self, now: float) -> None:
         """Log changed states, and update the status line."""
+        compiled = "ready" if self.tracking.is_ready else COMPILING
+        self.status.set_state(now, "tracking", compiled)
         for subject, state in stream_states(self._socket, self._gathering, self._cameras, now):
             self.status.set_state(now, subject, state)
         if self.recording is not None and self.recording.problem:

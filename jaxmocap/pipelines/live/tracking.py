@@ -10,6 +10,10 @@ INPUTS: Samples, Frames. OUTPUTS: Outputs.
 
 from collections import deque
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from copy import copy
+from threading import Event
+from time import sleep
 from typing import NamedTuple
 
 import jax
@@ -57,7 +61,7 @@ class LiveTracking:
     """One person, tracked live.
 
     Attributes:
-        tracker: compiled.
+        tracker: of the person.
         needs_colour: whether frames are to be BGR.
         placements: how often the body was placed from scratch.
         late_events: samples and frames that arrived too late for the smoothing.
@@ -70,7 +74,7 @@ class LiveTracking:
         smooth: bool,
         tracker: HybridTracker | None = None,
     ):
-        """Prepare and compile.
+        """Prepare, and compile what the markers' poses need; the rest compiles beside.
 
         Args:
             setup: person, markers, cameras.
@@ -81,12 +85,39 @@ class LiveTracking:
         cameras = [v.camera for v in setup.videos] if settings.refine != "none" else []
         places = bone_points(setup.skeleton, setup.places)
         sites = marker_sites(setup.skeleton, places)
-        self.tracker = tracker or HybridTracker(setup.skeleton, cameras, settings, sites)
         self._cameras, self.needs_colour = len(cameras), smooth and bool(cameras)
+        if tracker is None:
+            tracker = HybridTracker(setup.skeleton, cameras, settings, sites)
+            # What is smoothed starts from where the search has the elbows.
+            tracker = tracker.by_search() if self.needs_colour else tracker
+        self.tracker = tracker
         self._filter = None if setup.one_euro is None else OneEuro(setup.one_euro)
+        self._ended = Event()
+        self._compiling: Future[None] | None = None
         self._reset()
         self._warm_up()
-        self._reset()
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether all is compiled; until then the poses are those of the markers alone.
+
+        Raises what went wrong meanwhile.
+        """
+        if self._compiling is not None and self._compiling.done():
+            self._compiling.result()
+            self._compiling = None
+        return self._compiling is None
+
+    def wait_until_ready(self) -> None:
+        """Wait until all is compiled."""
+        while not self.is_ready:
+            sleep(0.01)
+
+    def close(self) -> None:
+        """Compile no more; waits for what is being compiled."""
+        self._ended.set()
+        if self._compiling is not None:
+            wait([self._compiling])
 
     def _reset(self) -> None:
         """Forget who was tracked."""
@@ -106,14 +137,29 @@ class LiveTracking:
         return FixedLagSmoother(self.tracker.model, self.tracker.settings.smoothing)
 
     def _warm_up(self) -> None:
-        """Compile, by tracking somebody who stands still before a grey wall."""
+        """Compile what the markers' poses need at once, and the rest in a thread beside."""
+        points = self._standing()
+        self.tracker.solve(self.tracker.init(points), points)
+        other = copy(self)
+        other._reset()
+        beside = ThreadPoolExecutor(1, "rehearse")
+        self._compiling = beside.submit(other._rehearse, points)
+        beside.shutdown(wait=False)
+
+    def _standing(self) -> np.ndarray:
+        """Markers (M, 3) of somebody who stands still, metres."""
         model = self.tracker.model
-        skeleton = model.skeleton
-        frames = forward(skeleton, relaxed_pose(skeleton))
-        points = np.asarray(site_positions(skeleton, frames, model.markers), float)
+        frames = forward(model.skeleton, relaxed_pose(model.skeleton))
+        return np.asarray(site_positions(model.skeleton, frames, model.markers), float)
+
+    def _rehearse(self, points: np.ndarray) -> None:
+        """Track somebody who stands still before a grey wall."""
+        model = self.tracker.model
         sizes = [] if model.cameras is None else np.asarray(model.cameras.size, int)
         for i in range(12 if self.needs_colour else 2):
             time = i / 30
+            if self._ended.is_set():
+                return
             self.sample(MarkerSample(time, points, time))
             for camera, (width, height) in enumerate(sizes):
                 wall = np.full((height, width, 3)[: 3 if self.needs_colour else 2], 128, np.uint8)
@@ -134,6 +180,9 @@ class LiveTracking:
             ):
                 return []
             self._state = self.tracker.init(sample.positions_world)
+        if not self.is_ready:
+            pose, _ = self._taken(self.tracker.solve(self._state, self._with_gaps_filled(sample)))
+            return [Output(sample.time, pose, np.zeros(2), sample.arrived)]
         if self._smoother is not None:
             return self._in_order([sample])
         pose, report = self._step(sample.time, self._with_gaps_filled(sample), None)
@@ -141,7 +190,7 @@ class LiveTracking:
 
     def frames(self, frames: Sequence[LiveFrame]) -> list[Output]:
         """Take frames, the newest of their cameras; the poses to be sent now."""
-        if self._state is None or self.tracker.model.cameras is None:
+        if self._state is None or self.tracker.model.cameras is None or not self.is_ready:
             return []
         if self._smoother is not None:
             return self._in_order(frames)
@@ -174,9 +223,11 @@ class LiveTracking:
         """One step of the tracker."""
         assert self._state is not None
         if self._smoother is None or self._smoother.asks_for(images):
-            step = self.tracker.step(self._state, time, markers_world, images)
-        else:
-            step = self.tracker.solve(self._state, markers_world)
+            return self._taken(self.tracker.step(self._state, time, markers_world, images))
+        return self._taken(self.tracker.solve(self._state, markers_world))
+
+    def _taken(self, step: tuple[State, Pose, StepReport]) -> tuple[Pose, StepReport]:
+        """What the tracker found; its state is kept."""
         self._state, pose, report = jax.device_get(step)
         self.placements += bool(report.placed)
         return pose, report

@@ -35,6 +35,7 @@ def scanned(
     began = perf_counter()
     about_images: list[list[str]] = []
     images = _images(events, readers, about_images) if readers else None
+    tracker.compile_ahead(scan=True)
     state = tracker.init(events.markers_world[0])
     times, parts, about_steps = events.timeline.event_times, [], []
     for chunk in tracker.scan(state, times, events.markers_world, images, clock):
@@ -61,6 +62,7 @@ def stepped(
     clock: Clock,
 ) -> tuple[FirstPass, list[SmoothedPose]]:
     """Step through the events, one by one."""
+    tracker.compile_ahead()
     state, line = tracker.init(events.markers_world[0]), events.timeline
     final: list[SmoothedPose] = []
     steps, about = [], []

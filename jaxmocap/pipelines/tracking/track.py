@@ -98,14 +98,16 @@ def track_both(
         smoother = FixedLagSmoother(tracker.model, tracker.settings.smoothing)
     in_colour = forward_readers(used, colour=smoother is not None)
     with progress_bar("tracking", progress) as show, in_colour as readers:
+        # What is smoothed starts from where the search has the elbows.
+        stepping = tracker.by_search() if smooth else tracker
         if causal:
-            first, final = stepped(events, tracker, readers, smoother, show, clock)
+            first, final = stepped(events, stepping, readers, smoother, show, clock)
         else:
-            scanning = tracker.by_search() if smooth else tracker
-            first, final = scanned(events, scanning, readers, show, clock), []
+            first, final = scanned(events, stepping, readers, show, clock), []
     trajectory = gathered(final) if smoother else None
-    if smooth and not causal:
+    if smooth:
         opened = opened._replace(warnings=(*opened.warnings, *_without_part(tracker.settings)))
+    if smooth and not causal:
         with progress_bar("smoothing", progress) as show:
             trajectory = clock.timed(
                 "smooth", _smoothed, opened, events, tracker, first,
@@ -135,11 +137,11 @@ def _run_figures(
 
 
 def _without_part(settings: Settings) -> Iterator[str]:
-    """A sentence if something was chosen that has no part where a whole recording is smoothed."""
+    """A sentence if something was chosen that has no part where poses are smoothed."""
     if settings.refine == "gradient":
         yield (
-            "refinement by gradient acts frame by frame and has no part in smoothing over a whole "
-            "recording: take --causal, --paper, or Settings(smooth=False)"
+            "refinement by gradient acts frame by frame and has no part where poses are smoothed: "
+            "take --paper, or Settings(smooth=False)"
         )
 
 
