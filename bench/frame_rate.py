@@ -94,8 +94,9 @@ def causal(
     """
     recording, clock = footage.recording, BusyClock()
     model, settings = tracker.model, tracker.settings
-    smooth = settings.smooth and model.camera_count
-    smoother = FixedLagSmoother(model, settings.smoothing) if smooth else None
+    smoother = None
+    if settings.smooth and model.camera_count:
+        smoother, tracker = FixedLagSmoother(model, settings.smoothing), tracker.by_search()
     line = build_timeline(recording.times, [footage.times], "causal")
     markers = interpolate_markers(
         recording.times, recording.positions_world, line.event_times, True
