@@ -14,6 +14,8 @@ import numpy as np
 
 # An acceleration reaches two frames on.
 REACH = 2
+# Frames at a time.
+FRAMES = 32
 
 
 class Stencil(NamedTuple):
@@ -43,13 +45,13 @@ class Stencil(NamedTuple):
             total[k : k + count] += self.coefficients[:, k, None, None] * residuals
         return total * self.weights[:, None]
 
-    def ties(self, ahead: int, frames: int) -> np.ndarray:
-        """How strongly (T, M) each frame's values are tied to those ``ahead`` of them."""
+    def couplings(self, ahead: int, frames: int) -> np.ndarray:
+        """How strongly (T,), but for the weights, frames are tied to those ``ahead`` of them."""
         count, width = self.coefficients.shape
         total = np.zeros(frames)
         for k in range(width - ahead):
             total[k : k + count] += self.coefficients[:, k] * self.coefficients[:, k + ahead]
-        return np.outer(total, self.weights**2)
+        return total
 
 
 class Smoothness(NamedTuple):
@@ -83,21 +85,26 @@ class Smoothness(NamedTuple):
         return Smoothness(frames, tuple(cut))
 
     def uniform_ties(self, ahead: int) -> np.ndarray:
-        """``Stencil.ties`` (T,) of any coordinate, where all have the same deviations."""
-        return sum((each.ties(ahead, self.frames)[:, 0] for each in self.stencils),
-                   start=np.zeros(self.frames))  # fmt: skip
+        """How strongly (T,) any coordinate is tied, where all have the same deviations."""
+        each = (own.couplings(ahead, self.frames) * own.weights[0] ** 2 for own in self.stencils)
+        return sum(each, start=np.zeros(self.frames))
 
     def block_rows(self, jacobian: np.ndarray) -> np.ndarray:
         """Its Hessian by the (T, M, N) derivative of the points, as ``banded`` keeps it."""
-        rows = np.zeros((self.frames, jacobian.shape[2], (REACH + 1) * jacobian.shape[2]))
-        blocks = np.split(rows, REACH + 1, 2)
-        for ahead, block in enumerate(blocks[: self.frames]):
-            ties = np.zeros(jacobian.shape[:2])
-            for each in self.stencils:
-                ties += each.ties(ahead, self.frames)
-            here = slice(0, self.frames - ahead)
-            scaled = jacobian[ahead:] * ties[here, :, None]
-            block[here] = jacobian[here].swapaxes(1, 2) @ scaled
+        size = jacobian.shape[2]
+        rows = np.zeros((self.frames, size, (REACH + 1) * size))
+        for each in self.stencils:
+            even = np.ptp(each.weights) == 0
+            # Equal weights scale the products, which are smaller than the derivatives.
+            weighed = jacobian if even else jacobian * each.weights[:, None]
+            factor = each.weights[0] ** 2 if even else 1.0
+            for ahead, block in enumerate(np.split(rows, REACH + 1, 2)):
+                ties = factor * each.couplings(ahead, self.frames)[:, None, None]
+                # As many at a time as the processor's cache holds.
+                for first in range(0, self.frames - ahead, FRAMES):
+                    here = slice(first, min(first + FRAMES, self.frames - ahead))
+                    there = slice(here.start + ahead, here.stop + ahead)
+                    block[here] += weighed[here].swapaxes(1, 2) @ weighed[there] * ties[here]
         return rows
 
 

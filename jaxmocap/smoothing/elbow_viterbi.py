@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from scipy.spatial.distance import cdist
 
 from jaxmocap.body.arms import (
     TURNS,
@@ -124,8 +125,8 @@ def cheapest_path(
     total, came_from = costs[0], np.zeros(costs.shape, np.int32)
     for t in range(1, len(costs)):
         reach = speed * max(times[t] - times[t - 1], 1e-3)
-        between = np.sum((places[t][:, None] - places[t - 1]) ** 2, -1)
-        via = total + np.minimum(between / reach**2 / 2, most)
+        between = cdist(places[t], places[t - 1], "sqeuclidean")
+        via = total + np.minimum(between / (2 * reach**2), most)
         came_from[t] = via.argmin(1)
         total = via.min(1) + costs[t]
     path = np.full(len(costs), total.argmin())
