@@ -5,7 +5,7 @@
     smooth   markers, grids -> poses, roughly
     decide   every frame's candidates for the elbows -> the cheapest path, which the poses follow
 
-and again with what the better poses taught, the last solve as finely as was measured.
+and in the end once more, learned and measured by the better poses and solved as finely.
 
 INPUTS: a model, a first pass, the videos' frames. OUTPUTS: a Trajectory with deviations.
 """
@@ -170,9 +170,10 @@ def solve_recording(
     show(0.3)
     for turn in range(DECISIONS):
         trajectory = decided(problem, trajectory)
-        # Better poses teach better what the person looks like.
-        problem = measured_about(trajectory)
-        show(0.3 + 0.4 * (turn + 1) / DECISIONS)
+        show(0.3 + 0.3 * (turn + 1) / DECISIONS)
+    # Better poses teach better what the person looks like.
+    problem = measured_about(trajectory)
+    show(0.7)
     return SolvedProblem(problem, smooth_poses(problem, trajectory, FINELY).trajectory)
 
 
