@@ -31,7 +31,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.compilation.programs import Program
 from jaxmocap.evidence.edges import EdgeFields
-from jaxmocap.hybrid.balance import bow_factors
+from jaxmocap.hybrid.balance import bow_factors, spine_dofs
 from jaxmocap.hybrid.elbow_search import ElbowBelief, no_belief
 from jaxmocap.hybrid.feet import FootPlacement, place
 from jaxmocap.hybrid.ik import goal_distances, goals_of, solve_ik
@@ -101,9 +101,9 @@ def placed(model: Model, settings: Settings, targets: Array) -> Start:
 
 
 def balanced_by(model: Model, settings: Settings) -> Array:
-    """(3,) p_i of the balance heuristic, for a person; 0 without it."""
+    """(S,) p_i of the balance heuristic, of a person with S hinges of the spine; 0 without it."""
     if settings.balance == "none":
-        return jnp.zeros(3, model.dtype)
+        return jnp.zeros(len(spine_dofs(model.skeleton)), model.dtype)
     return bow_factors(model.skeleton, settings.ik)
 
 

@@ -23,6 +23,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.hybrid.balance import spine_dofs
 from jaxmocap.hybrid.elbow_search import ElbowBelief
 from jaxmocap.hybrid.feet import FootPlacement
 from jaxmocap.hybrid.observe import ArmThresholds, no_thresholds, observe
@@ -132,7 +133,7 @@ class HybridTracker:
 
     @property
     def bow_factors(self) -> Array:
-        """(3,) of the balance heuristic, for this person."""
+        """(S,) of the balance heuristic, for this person."""
         factors = self._bow_factors
         if factors is None:
             self._bow_factors = factors = self._balancing()()(self.model, self.settings)
@@ -294,9 +295,8 @@ class HybridTracker:
             given = solved, self._like(), self._no_fields(solved), belief
             program = SEARCH if self.settings.refine == "search" else REFINE
             self._refine = program.beside(
-                self.model, self.settings, np.zeros(3, self.model.dtype), *given,
-                np.zeros((), self.model.dtype),
-            )  # fmt: skip
+                self.model, self.settings, self._no_bow(), *given, np.zeros((), self.model.dtype)
+            )
         return self._refine
 
     def _refining_events(self) -> Callable[[], Callable]:
@@ -308,7 +308,7 @@ class HybridTracker:
             fields = None if nothing is None else EventFields.of(nothing, [None] * EVENTS)
             given = RefineInputs(solved, _of_chunk(self._like()), fields, np.zeros(EVENTS, dtype))
             self._refine_events = REFINE_EVENTS.beside(
-                self.model, self.settings, np.zeros(3, dtype), given, belief
+                self.model, self.settings, self._no_bow(), given, belief
             )
         return self._refine_events
 
@@ -324,6 +324,10 @@ class HybridTracker:
             return None
         nowhere = jax.tree.map(lambda part: np.zeros(part.shape, part.dtype), solved.region)
         return observe(self.settings, no_thresholds(self.model.camera_count), None, nowhere)[0]
+
+    def _no_bow(self) -> np.ndarray:
+        """(S,) factors of the balance heuristic that bow nothing."""
+        return np.zeros(len(spine_dofs(self.model.skeleton)), self.model.dtype)
 
     def _like(self) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct((len(self.model.markers.bone_indices), 3), self.model.dtype)
