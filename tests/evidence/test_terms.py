@@ -177,11 +177,11 @@ def all_jacobians(terms, model, pose, measured):
 
     steps = 1e-6 * jnp.eye(dofs + len(PROPORTIONS))
     ahead, behind = jnp.split(jax.vmap(moved)(jnp.concatenate([steps, -steps])), 2)
-    sizes = [jax.eval_shape(residuals, (term,), model, pose, measured).size for term in terms]
     ours = linearised(terms, model, logarithms, pose, measured).jacobian
     person = replace(model, skeleton=scaled(model.skeleton, logarithms))
     own = [linearised_term(term, person, pose, measured)[1].reshape(-1, dofs) for term in terms]
-    return ours, (ahead - behind).T / 2e-6, jnp.concatenate(own), jnp.array(sizes)
+    sizes = jnp.array([len(part) for part in own])
+    return ours, (ahead - behind).T / 2e-6, jnp.concatenate(own), sizes
 
 
 def test_there_are_all_terms_of_the_package():
