@@ -103,7 +103,7 @@ def refine(
     Args:
         model: of the person, the markers and the cameras.
         settings: of the tracker.
-        bow_factors: (3,) of the balance heuristic.
+        bow_factors: (S,) of the balance heuristic, by the S hinges of the spine.
         solved: what the markers tell.
         targets: (M, 3) markers, world, metres; NaN where missing.
         fields: distances to edges; None without cameras.

@@ -190,7 +190,7 @@ def refine_events(
     Args:
         model: of the person, the markers and the cameras.
         settings: of the tracker.
-        bow_factors: (3,) of the balance heuristic.
+        bow_factors: (S,) of the balance heuristic, by the S hinges of the spine.
         events: in order of time.
         belief: before the first event.
     """
