@@ -15,7 +15,9 @@ from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.warmup import CompilationCounts, counting_compilations
 
 NUMBERS = np.arange(7, dtype=np.float32)
-ON_POSIX = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="files on Windows have no owner as on POSIX")
+ON_POSIX = pytest.mark.skipif(
+    not hasattr(os, "geteuid"), reason="files on Windows have no owner as on POSIX"
+)
 
 
 @pytest.fixture

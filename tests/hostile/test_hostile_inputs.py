@@ -20,7 +20,9 @@ EACH = 10
 MANY, ANOTHER_SEED = 2000, 21
 NAMES = [*BY_KIND, ARGUMENTS]
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such pipes and links")
+pytestmark = pytest.mark.skipif(
+    sys.platform == "win32", reason="Windows has no such pipes and links"
+)
 
 
 @pytest.fixture(scope="module")

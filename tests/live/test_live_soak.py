@@ -21,7 +21,9 @@ from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stream_states import stream_states
 from jaxmocap.pipelines.live.tracking import LiveTracking
 
-resource = pytest.importorskip("resource", reason="this system does not report how much memory a process has used")
+resource = pytest.importorskip(
+    "resource", reason="this system does not report how much memory a process has used"
+)
 RATE = 90
 # By so many MB the peak of memory may grow after the first tenth: of what is kept of the newest.
 GROWTH_MB = 40
