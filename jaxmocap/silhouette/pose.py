@@ -230,11 +230,12 @@ def _normal_equations(
     ratio = jnp.minimum(squared / (settings.reach * spread) ** 2, 1.0)
     shares = (1 - ratio) ** 2
     weights = jnp.where(pairs.weights > 0, shares * pairs.weights, 0.0) / spread**2
-    rows = rows.reshape(-1, rows.shape[-1])
-    weighted = jnp.repeat(weights, 2)[:, None] * rows
-    information = jnp.matmul(weighted.T, rows, precision=HIGHEST)
-    slope = jnp.matmul(weighted.T, residuals.ravel(), precision=HIGHEST)
-    normal = _Normal(information, slope, distances, shares, spread)
+    # Rows and residuals side by side: one product, of a matrix with itself, has both sums.
+    beside_rows = jnp.concatenate([rows, residuals[..., None]], -1)
+    whitened = beside_rows * jnp.sqrt(weights)[:, None, None]
+    whitened = whitened.reshape(-1, whitened.shape[-1])
+    sums = jnp.matmul(whitened.T, whitened, precision=HIGHEST)
+    normal = _Normal(sums[:-1, :-1], sums[:-1, -1], distances, shares, spread)
     if morph is not None and pairs.moves is not None:
         same = jnp.eye(len(skeleton.costs), dtype=slope.dtype)
         normal = _by(jnp.concatenate([same, driver_jacobian(morph, pose.angles)]), normal)
@@ -255,9 +256,22 @@ def _by(chain: Array, normal: _Normal) -> _Normal:
 
 
 def _median(values: Array, real: Array) -> Array:
-    """() of those of (N,) values that are real; 0 where none is."""
-    ordered = jnp.sort(jnp.where(real, values, jnp.inf))
-    middle = ordered[jnp.maximum(jnp.sum(real.astype(jnp.int32)) - 1, 0) // 2]
+    """() of those of (N,) values, none negative, that are real; 0 where none is.
+
+    Such numbers are in the order of their bits: the median's are found one by one, the highest
+    first, by counting. Sorting takes seven times as long.
+    """
+    bits, integer = 8 * values.dtype.itemsize, jnp.dtype(f"int{8 * values.dtype.itemsize}")
+    keys = jax.lax.bitcast_convert_type(jnp.where(real, values, jnp.inf), integer)
+    before = jnp.maximum(jnp.sum(real.astype(jnp.int32)) - 1, 0) // 2
+
+    def with_bit(i: Array, found: Array) -> Array:
+        tried = found | (jnp.ones((), integer) << (bits - 2 - i).astype(integer))
+        below = jnp.sum((keys < tried).astype(jnp.int32))
+        return jnp.where(below <= before, tried, found)
+
+    found = jax.lax.fori_loop(0, bits - 1, with_bit, jnp.zeros((), integer))
+    middle = jax.lax.bitcast_convert_type(found, values.dtype)
     return jnp.where(jnp.isfinite(middle), middle, 0.0)
 
 

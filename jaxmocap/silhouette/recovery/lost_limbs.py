@@ -192,9 +192,10 @@ class LimbRecovery:
         s, pose, moved, depths = self._settings, projected.pose, [], None
         for number, limb in enumerate(self.limbs):
             angles = earlier.angles[limb.joints]
-            there = with_angles(projected.pose, limb, angles)
-            if float(_distance(self._skeleton, projected.pose, there, limb)) < s.earlier_distance_m:
+            away = _distance(self._skeleton, projected.pose, limb, angles)
+            if float(away) < s.earlier_distance_m:
                 continue
+            there = with_angles(projected.pose, limb, angles)
             depths = self.evidence.nearest_depths(projected) if depths is None else depths
             evidence = self.evidence.of_limb(number, projected, memory.appearance, depths)
             before = self._explains(number, evidence, projected.pose, s.likelihood.least_visible)
@@ -320,9 +321,10 @@ class _Search:
 
 
 @jax.jit
-def _distance(skeleton: Skeleton, pose: Pose, other: Pose, limb: LimbChain) -> Array:
-    """() metres between the ends of a limb's bones in two poses, the most."""
-    here, there = (bone_ends(skeleton, each, limb)[1] for each in (pose, other))
+def _distance(skeleton: Skeleton, pose: Pose, limb: LimbChain, angles: Array) -> Array:
+    """() metres by which other angles (K,) move the ends of a limb's bones, the most."""
+    poses = pose, with_angles(pose, limb, angles)
+    here, there = (bone_ends(skeleton, each, limb)[1] for each in poses)
     return jnp.max(jnp.linalg.norm(here - there, axis=-1))
 
 

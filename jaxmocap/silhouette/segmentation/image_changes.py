@@ -12,8 +12,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-# Size of a thumbnail: columns and rows.
+# Size of a thumbnail: columns and rows;
 THUMBNAIL_SIZE = (40, 30)
+# and pixels of a cell, from side to side, that are averaged.
+PIXELS_ACROSS = 4
 # Its cells differ from so many grey levels of any colour on.
 DIFFERENT_LEVELS = 25.0
 
@@ -62,6 +64,9 @@ class ImageHistory(NamedTuple):
 
 def thumbnail(image: np.ndarray) -> np.ndarray:
     """An image (H, W, 3) uint8 in few cells (30, 40, 3), int16."""
+    across = min(image.shape[0] // THUMBNAIL_SIZE[1], image.shape[1] // THUMBNAIL_SIZE[0])
+    every = max(1, across // PIXELS_ACROSS)
+    image = image[::every, ::every]
     return cv2.resize(image, THUMBNAIL_SIZE, interpolation=cv2.INTER_AREA).astype(np.int16)
 
 
