@@ -237,7 +237,7 @@ def _normal_equations(
     sums = jnp.matmul(whitened.T, whitened, precision=HIGHEST)
     normal = _Normal(sums[:-1, :-1], sums[:-1, -1], distances, shares, spread)
     if morph is not None and pairs.moves is not None:
-        same = jnp.eye(len(skeleton.costs), dtype=slope.dtype)
+        same = jnp.eye(len(skeleton.costs), dtype=sums.dtype)
         normal = _by(jnp.concatenate([same, driver_jacobian(morph, pose.angles)]), normal)
     if beside is not None:
         information, slope = beside.equations(pose)

@@ -8,6 +8,7 @@ import screws
 from conftest import double
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from point_rays import on_rays
 
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose, retract
@@ -23,7 +24,9 @@ from jaxmocap.body.surfaces.surface import (
     skin_of,
     skinned,
 )
+from jaxmocap.geometry.lines import lines_through
 from jaxmocap.silhouette.points import driver_point_jacobian, point_jacobian
+from jaxmocap.silhouette.pose import PoseSettings, solve_pose
 from jaxmocap.silhouette.surfaces import morph as m
 from jaxmocap.silhouette.surfaces import swelling as s
 
@@ -123,6 +126,36 @@ def test_the_derivative_is_what_finite_differences_say(at):
             ends = [moved_by(body, morph, points, moves, free, sign * step) for sign in (1, -1)]
             slope = np.asarray(ends[0] - ends[1]) / (2 * h)
             np.testing.assert_allclose(J[..., column], slope, atol=1e-7)
+
+
+def test_a_solve_finds_the_pose_that_moved_the_skin_along():
+    rng = np.random.default_rng(1)
+    points = BodyPoints(*(np.asarray(part)[ROWS] for part in SURFACE.points))
+    truth, start = (LOW + share * (HIGH - LOW) for share in (rng.uniform(0.3, 0.7, len(LOW)), 0.5))
+    truth = start + 0.15 * np.clip(truth - start, -1, 1)
+    still = jnp.zeros(6 + len(LOW))
+    seen = moved_by(BODY, MORPH, points, MOVES[ROWS], on_floor(truth), still)
+    # Two cameras' rays through each point: one of them cannot tell how far it is.
+    eyes = np.repeat([[4.0, 0.3, 0.2], [0.5, 4.0, 0.4]], len(ROWS), 0)
+    twice = BodyPoints(*(np.tile(part, (2,) + (1,) * (part.ndim - 1)) for part in points))
+    ways = np.tile(seen, (2, 1)) - eyes
+    lines = lines_through(jnp.asarray(eyes), jnp.asarray(unit(ways)))
+    rays = on_rays(twice, lines)._replace(moves=np.tile(MOVES[ROWS], (2, 1, 1)))
+    how = PoseSettings(deviation=0.1, iterations=40)
+    first = m.with_followers(MORPH, on_floor(start), BODY)
+    found = jax.jit(solve_pose)(BODY, first, rays, how, morph=MORPH)
+    free = m.without_followers(MORPH, found.pose)
+    there = moved_by(BODY, MORPH, points, MOVES[ROWS], free, still)
+    np.testing.assert_allclose(there, seen, atol=1e-3)
+    assert np.abs(np.asarray(first.angles) - np.asarray(found.pose.angles)).max() > 0.05
+
+
+def on_floor(at) -> Pose:
+    return Pose(jnp.zeros(3), jnp.eye(4)[0], jnp.asarray(at, jnp.float32))
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 RAISE, PROTRACT = (TREE.joint(f"clavicle_{name}_l") for name in ("raise", "protract"))
