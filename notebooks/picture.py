@@ -1,61 +1,82 @@
-"""Draws the README's picture: a frame of the demo's overlay beside the right elbow's error.
+"""Draws the README's moving picture: the demo's overlay beside the right elbow's error.
 
-INPUTS: none. OUTPUTS: ``images/demo.png`` beside this file.
+INPUTS: none. OUTPUTS: ``images/demo.gif`` beside this file.
 """
 
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
 from jaxmocap.capture.video import Video
 from jaxmocap.evaluation.plots import MARKERS_ONLY, WITH_VIDEO
 from jaxmocap.pipelines.demo import Demonstration, demonstrate
 from jaxmocap.pipelines.kept_programs import keep_compiled
 
-PICTURE = Path(__file__).parent / "images" / "demo.png"
+PICTURE = Path(__file__).parent / "images" / "demo.gif"
 RIGHT = 1
-# Rows and columns of the frame that hold the person.
-PERSON = np.s_[70:450, 130:510]
+# Rows and columns of the frame that hold the person; height in the picture, pixels.
+PERSON, HEIGHT = np.s_[55:455, 150:490], 300
+# One frame in so many is shown, for so many milliseconds; seconds in all.
+EVERY, SHOWN_MS, SECONDS = 3, 100, 4.5
+COLOURS = 96
 
 
-def draw(shown: Demonstration, folder: Path) -> Figure:
-    """A frame in which video helps the right elbow much, and the errors over time."""
+def curves(shown: Demonstration) -> np.ndarray:
+    """The right elbow's errors over time, (h, w, 3) RGB, and a function of time to a column."""
     before, after = (e.distances[:, RIGHT] for e in (shown.markers_only, shown.with_video))
     times = shown.with_video.times
-    best = times[np.argmax(before - 3 * after)]
-    # The overlay's clock starts at its first frame.
-    frames = list(Video(folder / "overlay.mp4", offset=float(times[0])).frames())
-    _, image = min(frames, key=lambda frame: abs(frame[0] - best))
-    assert image is not None
-    figure = Figure(figsize=(11, 3.7), layout="constrained")
-    FigureCanvasAgg(figure)
-    left, right = figure.subplots(1, 2, width_ratios=(4, 7))
-    left.imshow(image[PERSON][..., ::-1])
-    left.axis("off")
+    figure = Figure(figsize=(4.6, 3.0), dpi=100, layout="constrained")
+    canvas, axes = FigureCanvasAgg(figure), figure.subplots()
     for name, errors, style in (
         ("markers only", before, MARKERS_ONLY),
         ("with video", after, WITH_VIDEO),
     ):
         mean = 100 * np.nanmean(errors)
-        right.plot(times, 100 * errors, label=f"{name}: mean {mean:.1f} cm", **style)
-    right.axvline(best, color="#888888", linewidth=0.8)
-    right.set(xlabel="time [s]", ylabel="right elbow, error [cm]", ylim=(0, None))
-    right.spines[["top", "right"]].set_visible(False)
-    right.margins(x=0)
-    right.grid(color="#dddddd", linewidth=0.6)
-    right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False, ncols=2)
-    return figure
+        axes.plot(times, 100 * errors, label=f"{name}: mean {mean:.1f} cm", **style)
+    axes.set(xlabel="time [s]", ylabel="right elbow, position error [cm]", ylim=(0, None))
+    axes.set_xlim(times[0], times[0] + SECONDS)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(color="#dddddd", linewidth=0.6)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False, ncols=2, fontsize=8)
+    canvas.draw()
+    picture = np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    left, right = (int(axes.transData.transform((t, 0))[0]) for t in axes.get_xlim())
+    top, bottom = (len(picture) - int(axes.get_window_extent().get_points()[i, 1]) for i in (1, 0))
+    return picture, (left, right, top, bottom)
+
+
+def frames(shown: Demonstration, folder: Path) -> Iterator[np.ndarray]:
+    """Overlay and curves, side by side, (h, w, 3) RGB."""
+    picture, (left, right, top, bottom) = curves(shown)
+    for number, (time, image) in enumerate(Video(folder / "overlay.mp4").frames()):
+        if number % EVERY or image is None:
+            continue
+        if time > SECONDS:
+            return
+        person = image[PERSON]
+        width = round(HEIGHT * person.shape[1] / person.shape[0])
+        person = cv2.resize(person, (width, HEIGHT), interpolation=cv2.INTER_AREA)
+        beside = picture.copy()
+        column = round(left + (right - left) * time / SECONDS)
+        beside[top:bottom, column : column + 2] = 120
+        yield np.hstack([person[..., ::-1], beside])
 
 
 def main() -> None:
     keep_compiled()
     with tempfile.TemporaryDirectory() as folder:
-        figure = draw(demonstrate(folder, progress=True), Path(folder))
+        shown = demonstrate(folder, progress=True)
+        images = [Image.fromarray(frame) for frame in frames(shown, Path(folder))]
+    palette = images[len(images) // 2].quantize(COLOURS)
+    first, *rest = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
     PICTURE.parent.mkdir(exist_ok=True)
-    figure.savefig(PICTURE, dpi=110)
+    first.save(PICTURE, save_all=True, append_images=rest, duration=SHOWN_MS, loop=0)
 
 
 if __name__ == "__main__":

@@ -36,6 +36,8 @@ from jaxmocap.synthetic.recording import (
 
 ELBOW_PAIRS = {"elbow_l": "elbow_l", "elbow_r": "elbow_r"}
 HEIGHT_M = 1.75
+# Of the player's mesh and clothes, which people look at.
+DETAIL = 2
 PLOT_FILE = "elbow_errors.png"
 FILES = (*MOTION_FILES, "report.json", "recording.rrd", "overlay.mp4", PLOT_FILE)
 RECORDING_FILES = (
@@ -106,7 +108,7 @@ def demonstrate(
         ThreadPoolExecutor(1) as renderer,
         progress_bar("rendering", progress) as show,
     ):
-        person = {"height": HEIGHT_M, "progress": show}
+        person = {"height": HEIGHT_M, "progress": show, "detail": DETAIL}
         written = renderer.submit(write_table_tennis, stage, seconds, seed, **person)
         tracker = compiled_tracker()
         written.result()

@@ -74,6 +74,7 @@ def write_table_tennis(
     progress: Progress | None = None,
     azimuth: float | None = None,
     furnished: bool = True,
+    detail: int = 1,
 ) -> Path:
     """Write a recording of table-tennis strokes.
 
@@ -87,12 +88,14 @@ def write_table_tennis(
         azimuth: where the camera stands, degrees from frontal, positive to the person's left;
             None is ``webcam()``.
         furnished: a room full of edges; or a bare one.
+        detail: of the person, see ``clothed_actor``.
 
     Returns:
         The path of ``recording.toml``.
     """
     performance = motions.table_tennis(seconds, seed, strokes, height)
-    return write_performance(directory, performance, seconds, seed, progress, azimuth, furnished)
+    shown = progress, azimuth, furnished, detail
+    return write_performance(directory, performance, seconds, seed, *shown)
 
 
 def write_performance(
@@ -103,6 +106,7 @@ def write_performance(
     progress: Progress | None = None,
     azimuth: float | None = None,
     furnished: bool = True,
+    detail: int = 1,
 ) -> Path:
     """Write the recording of any performance, seen by one camera; see ``write_table_tennis``."""
     times = np.arange(int(seconds * MARKER_RATE)) / MARKER_RATE
@@ -115,7 +119,7 @@ def write_performance(
         places=marker_places(),
         subject={"height": figure.height},
     )
-    shown = scene(performance, seed, azimuth, furnished)
+    shown = scene(performance, seed, azimuth, furnished, detail)
     frames = render_frames(shown, video_times(seconds), progress)
     return write_parts(Path(directory), parts, frames, seed)
 
@@ -130,9 +134,10 @@ def scene(
     seed: int = 0,
     azimuth: float | None = None,
     furnished: bool = True,
+    detail: int = 1,
 ) -> Scene:
     """A performance before the camera at that azimuth; None is ``webcam()``."""
-    actor = clothed_actor(performance, seed)
+    actor = clothed_actor(performance, seed, detail)
     if azimuth is None:
         return Scene.in_room(webcam(), actor, seed, furnished)
     return Scene.in_room(camera_at(0.0), RotatedMover(actor, azimuth), seed, furnished)

@@ -45,6 +45,15 @@ TRUNK = (
     *((-0.10, 0.108, 0.172), (0.10, 0.112, 0.165), (0.35, 0.106, 0.150), (0.62, 0.122, 0.170)),
     *((0.78, 0.118, 0.186), (0.90, 0.085, 0.165), (1.0, 0.060, 0.085), (1.04, 0.052, 0.066)),
 )
+# Of fine meshes: the shirt hangs over the hips, which the skeleton has wider apart than people.
+LOOSE_TRUNK = (
+    *((-0.15, 0.146, 0.236), (-0.08, 0.142, 0.234), (0.02, 0.132, 0.220), (0.16, 0.120, 0.190)),
+    *((0.36, 0.112, 0.163), *TRUNK[3:]),
+)
+SLIM_THIGH = (
+    *((-0.02, 0.090, 0.062, 0), (0.12, 0.094, 0.080, 0.004), (0.3, 0.092, 0.088, 0.012)),
+    (1, 0.064, 0.060, 0),
+)
 PELVIS = (
     *((-0.30, 0.070, 0.090), (-0.22, 0.106, 0.168), (-0.12, 0.124, 0.192), (0.0, 0.120, 0.190)),
     (0.10, 0.108, 0.165),
@@ -82,17 +91,25 @@ class Actor:
         return self.performance.landmarks(times)
 
 
-def clothed_actor(performance: Performance, seed: int = 0) -> Actor:
-    """The performer with a body, clothes, a headset, and a racket in the right hand."""
-    parts = _PersonMesh(performance.figure, np.random.default_rng([seed, 1]))
+def clothed_actor(performance: Performance, seed: int = 0, detail: int = 1) -> Actor:
+    """The performer with a body, clothes, a headset, and a racket in the right hand.
+
+    Args:
+        performance: the movement.
+        seed: of clothes and folds.
+        detail: finer meshes by this factor, in smooth colours: for the eye. Trackers get no other
+            outlines by it, and drawing takes its square as long.
+    """
+    parts = _PersonMesh(performance.figure, np.random.default_rng([seed, 1]), detail)
     return Actor(parts.person(), performance, parts.rest)
 
 
 class _PersonMesh:
     """Builds the parts of one person at rest: every bone's frame upright, arms hanging."""
 
-    def __init__(self, figure: Figure, rng: np.random.Generator):
+    def __init__(self, figure: Figure, rng: np.random.Generator, detail: int):
         self.figure, self.rng, self.tree = figure, rng, figure.skeleton.tree
+        self.detail = detail
         self.scale = figure.height / PROFILE_HEIGHT
         self.rest = np.zeros((len(self.tree.bones), 3))
         for i, parent in enumerate(self.tree.parents):
@@ -131,8 +148,9 @@ class _PersonMesh:
         shoe = self._ball(
             f"foot_{side}", self.rest[foot] + 0.42 * reach, (0.145, 0.05, 0.045), np.full(3, 0.75)
         )
+        thigh = THIGH if self.detail == 1 else SLIM_THIGH
         return [
-            self._limb(f"femur_{side}", THIGH, self.trousers, folds=0.02, sides=16),
+            self._limb(f"femur_{side}", thigh, self.trousers, folds=0.02, sides=16),
             self._limb(f"tibia_{side}", SHANK, self.trousers, folds=0.04, sides=16),
             shoe,
         ]
@@ -149,13 +167,14 @@ class _PersonMesh:
         """A tube along a bone through a profile, with round ends."""
         i, reach = self.tree.bone(bone), self.figure.reach(bone)
         table = np.array(profile, float)
-        t = np.linspace(table[0, 0], table[-1, 0], 13)
+        t = np.linspace(table[0, 0], table[-1, 0], 12 * self.detail + 1)
         rows = Spline.through(table[:, 0], table[:, 1:])(t) * self.scale
         centres = self.rest[i] + t[:, None] * reach + rows[:, 2:] * [1.0, 0.0, 0.0]
         radii = rows[:, :2]
         for end, wanted in ((0, caps[0]), (-1, caps[1])):
             if wanted:
                 centres, radii = _capped(centres, radii, end)
+        sides = sides * self.detail
         swell = 1 + folds * waves(self.rng, len(centres), sides)
         vertices = loft(centres, radii, _across(reach), sides, swell=swell)
         return self._painted(vertices, len(centres), sides, colour, i, 0.05 + 2 * folds)
@@ -169,8 +188,9 @@ class _PersonMesh:
             *((self.rest[b, 2] + h / 2) for b, h in zip(bones[1:], self._spine(), strict=True)),
         ]
         parts = []
-        for table, colour, folds in ((TRUNK, self.shirt, 0.025), (PELVIS, self.trousers, 0.01)):
-            profile, rings, sides = np.array(table), 26, 30
+        shirt = TRUNK if self.detail == 1 else LOOSE_TRUNK
+        for table, colour, folds in ((shirt, self.shirt, 0.025), (PELVIS, self.trousers, 0.01)):
+            profile, rings, sides = np.array(table), 26 * self.detail, 30 * self.detail
             t = np.linspace(profile[0, 0], profile[-1, 0], rings)
             radii = Spline.through(profile[:, 0], profile[:, 1:])(t) * self.scale
             centres = t[:, None] * [0.0, 0.0, top]
@@ -209,7 +229,8 @@ class _PersonMesh:
         skull = self._ball("head", centre, (0.098, 0.077, 0.125), self.skin, rings=14, sides=20)
         away = skull.vertices[skull.faces].mean(1) - centre
         hairy = (away[:, 2] > 0.055 * self.scale) | ((away[:, 0] < -0.015) & (away[:, 2] > -0.05))
-        skull.colours[hairy] = self.hair * self.rng.uniform(0.6, 1.4, (hairy.sum(), 1))
+        strands = self.rng.uniform(0.6, 1.4, (hairy.sum(), 1))
+        skull.colours[hairy] = self.hair * (strands if self.detail == 1 else 1.0)
         visor = head + np.array([0.085, 0.0, 0.7 * crown - 0.045])
         headset = self._ball("head", visor, (0.055, 0.088, 0.048), np.full(3, 0.09), exponent=5)
         return [self._limb("neck", NECK, self.skin), skull, headset]
@@ -249,6 +270,7 @@ class _PersonMesh:
         exponent: float = 2.0,
     ) -> QuadMesh:
         """An ellipsoid, or a rounded box with a larger exponent, of half-axes in metres."""
+        rings, sides = rings * self.detail, sides * self.detail
         polar = np.linspace(0.02, np.pi - 0.02, rings)[:, None]
         power = 2 / exponent
         heights = -np.sign(np.cos(polar)) * np.abs(np.cos(polar)) ** power
@@ -268,9 +290,9 @@ class _PersonMesh:
         contrast: float,
     ) -> QuadMesh:
         """Rings closed to a mesh on one bone, its colour unevenly worn."""
-        cloud = waves(self.rng, rings - 1, sides, 4, 2.0) + self.rng.normal(
-            0, 0.5, (rings - 1, sides)
-        )
+        cloud = waves(self.rng, rings - 1, sides, 4, 2.0)
+        if self.detail == 1:
+            cloud = cloud + self.rng.normal(0, 0.5, (rings - 1, sides))
         shade = 1 + contrast * np.clip(cloud, -2, 2)
         colours = np.clip(shade.reshape(-1, 1) * colour, 0.02, 1.0)
         bones = np.full((len(vertices), 2), bone)
