@@ -9,10 +9,12 @@ INPUTS: the Python of an environment with ``mediapipe``, a video. OUTPUTS: milli
 
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 # A line that the script writes once its model is there.
 READY = "ready"
@@ -61,6 +63,43 @@ def detector(python: str, video: Path) -> Iterator[Detector]:
             process.terminate()
 
 
+def joints_found(python: str, video: Path) -> Any:
+    """(F, 33, 3) joints of every frame of a video, metres about the hips; NaN where nobody is.
+
+    Args:
+        python: of its environment.
+        video: that it looks at.
+
+    Raises:
+        RuntimeError: it has no ``mediapipe``, or cannot read the video.
+    """
+    import numpy as np
+
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "joints.npy"
+        command = [python, str(Path(__file__).resolve()), str(video), str(out)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(f"{python}: MediaPipe's pose detector found nothing in {video}")
+        return np.load(out)
+
+
+def _write_joints(video: str, out: str) -> None:
+    """The joints of all frames, by the full model."""
+    import cv2
+    import mediapipe  # type: ignore[import-not-found]
+    import numpy as np
+
+    pose, reader, rows = (
+        mediapipe.solutions.pose.Pose(model_complexity=1), cv2.VideoCapture(video), []
+    )  # fmt: skip
+    while (read := reader.read())[0]:
+        found = pose.process(cv2.cvtColor(read[1], cv2.COLOR_BGR2RGB)).pose_world_landmarks
+        nobody = np.full((33, 3), np.nan)
+        rows.append([(p.x, p.y, p.z) for p in found.landmark] if found else nobody)
+    np.save(out, np.array(rows, np.float32))
+
+
 def _serve(video: str) -> None:
     """Detect what is asked for, by the full model on one core."""
     import cv2  # type: ignore[import-not-found]
@@ -86,4 +125,4 @@ def _serve(video: str) -> None:
 
 
 if __name__ == "__main__":
-    _serve(sys.argv[1])
+    _write_joints(*sys.argv[1:]) if len(sys.argv) > 2 else _serve(sys.argv[1])
