@@ -66,6 +66,8 @@ DOORS = {
     "ezc3d": ("formats/time_series/c3d.py", "formats/time_series/c3d_process.py"),
     "pylsl": ("capture/streams/lsl.py",),
     "pythonosc": ("capture/streams/osc.py", "outputs/senders/osc.py"),
+    "onnxruntime": ("pipelines/keypoints/by_onnx.py",),
+    "mediapipe": ("pipelines/keypoints/mediapipe_process.py",),
     "distributed": ("pipelines/batch/cluster.py",),
     "av": (
         "capture/",

@@ -15,12 +15,12 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from jaxmocap import __version__
-from jaxmocap.cli import calibrate, silhouette
+from jaxmocap.cli import calibrate, silhouette, topics
 from jaxmocap.cli.command import Command
 from jaxmocap.cli.process_exit import end_process
 from jaxmocap.cli.reporting import check_report
 from jaxmocap.cli.results import convert, evaluate, retarget, view
-from jaxmocap.cli.setup import check, offsets, scale, sync
+from jaxmocap.cli.setup import check, keypoints, offsets, scale, sync
 from jaxmocap.cli.tracking import batch, demo, live, track, warmup
 from jaxmocap.formats.files.errors import InputError, OutputError, printable, shortened
 from jaxmocap.pipelines.signals import Terminated, raised_on_sigterm
@@ -39,6 +39,7 @@ COMMANDS = (
     batch.COMMAND,
     warmup.COMMAND,
     sync.COMMAND,
+    keypoints.COMMAND,
     evaluate.COMMAND,
     view.COMMAND,
     live.COMMAND,
@@ -46,6 +47,7 @@ COMMANDS = (
     retarget.COMMAND,
     scale.COMMAND,
     offsets.COMMAND,
+    topics.COMMAND,
 )
 # A command of several kinds -> its purpose, and these.
 GROUPS = {

@@ -1,4 +1,4 @@
-"""The commands that prepare a recording: check, sync, scale, offsets.
+"""The commands that prepare a recording: check, sync, keypoints, scale, offsets.
 
 Begin with ``check``.
 """

@@ -6,7 +6,7 @@ OUTPUTS: the text with that section's entries replaced or added.
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from jaxmocap.formats.files.toml import toml_key, toml_value
@@ -37,6 +37,36 @@ def replace_entries(text: str, section: str, entries: Mapping[str, Any]) -> str:
             raise ValueError(f"is not written as [{section}] on a line of its own")
         blocks = [*_ending_blank(blocks), _with_entries(f"[{toml_key(section)}]\n", entries)]
     return "".join(blocks)
+
+
+def replace_entries_of_each(
+    text: str, array: str, entries: Callable[[Mapping[str, Any]], Mapping[str, Any]]
+) -> str:
+    """Put entries into every ``[[array]]``; their other keys and all else stay as they are.
+
+    Args:
+        text: of a TOML file, valid.
+        array: name of a top-level array of tables.
+        entries: of a table, by what it holds.
+
+    Raises:
+        ValueError: an entry of the array is not written as an ``[[array]]`` of its own.
+    """
+    tables, changed = tomllib.loads(text).get(array, []), []
+    blocks, found = _sections(text), 0
+    for block in blocks:
+        if _begins_array(block, array):
+            block, found = _with_entries(block, entries(tables[found])), found + 1
+        changed.append(block)
+    if found != len(tables):
+        raise ValueError(f"has not each written as [[{array}]] on a line of its own")
+    return "".join(changed)
+
+
+def _begins_array(block: str, array: str) -> bool:
+    """Does a block begin with the header of a table of exactly that array?"""
+    header = block.lstrip().split("\n")[0]
+    return header.startswith("[[") and tomllib.loads(header) == {array: [{}]}
 
 
 def _ending_blank(blocks: list[str]) -> list[str]:

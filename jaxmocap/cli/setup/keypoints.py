@@ -1,0 +1,84 @@
+"""``jaxmocap keypoints``: 2-D key points of a recording's videos, by a detector.
+
+INPUTS: a recording, a detector. OUTPUTS: a file for each video, and the lines for the recording's
+file; exit code 1 where somebody was found in no frame of a video.
+"""
+
+import argparse
+from pathlib import Path
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.recording_options import add_cameras, recording_of
+from jaxmocap.cli.reporting import exit_code, report
+from jaxmocap.formats.files.errors import InputError
+
+MEDIAPIPE = "mediapipe"
+FOLDER = "keypoints"
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("recording", metavar="RECORDING.toml")
+    add(
+        "--detector",
+        metavar="NAME",
+        required=True,
+        help="mediapipe, or an RTMPose-like model as an .onnx file (pip install '.[onnx]')",
+    )
+    add(
+        "--python",
+        metavar="FILE",
+        help="for mediapipe: the Python of an environment that has it, such as mp/bin/python",
+    )
+    add("--out", metavar="DIR", help=f"default: {FOLDER} beside the recording")
+    add("--write", action="store_true", help="put the lines into the recording's file")
+    add_cameras(parser, "of these cameras only")
+
+
+def _run(options: argparse.Namespace) -> int:
+    from jaxmocap.formats.files.toml import toml_value
+    from jaxmocap.pipelines.keypoints.detect import detect_keypoints, keypoint_entries, put_into
+
+    detector, path = _detector(options), Path(options.recording)
+    recording = recording_of(options)
+    folder = Path(options.out) if options.out else path.parent / FOLDER
+    results = detect_keypoints(recording, detector, folder, progress=True)
+    entries = keypoint_entries(results, path)
+    if options.write and entries:
+        put_into(path, entries)
+    text = []
+    for result in results:
+        text.append(f"{result.camera}: found in {result.found} of {result.frames} frames")
+        if result.camera in entries:
+            text.append(f"    keypoints = {toml_value(entries[result.camera])}")
+    todo = f"the lines are in {path}" if options.write else "put the lines into the [[video]]s"
+    text += [todo] if entries else []
+    figures = [{**result._asdict(), "file": result.file and str(result.file)} for result in results]
+    report(options, "\n".join(text), {"videos": figures})
+    nobody = [result.camera for result in results if not result.found]
+    return exit_code(options, [f"{name}: nobody was found in any frame" for name in nobody])
+
+
+def _detector(options: argparse.Namespace):
+    if options.detector == MEDIAPIPE:
+        from jaxmocap.pipelines.keypoints.by_mediapipe import RECIPE, mediapipe_detector
+
+        if options.python is None:
+            problem = f"found no --python, expected an environment's; {RECIPE} makes one"
+            raise InputError("--detector mediapipe", problem)
+        return mediapipe_detector(options.python)
+    if not options.detector.endswith(".onnx"):
+        expected = f"expected {MEDIAPIPE} or an .onnx file"
+        raise InputError("--detector", f"found {options.detector!r}, {expected}")
+    from jaxmocap.pipelines.keypoints.by_onnx import onnx_detector
+
+    return onnx_detector(Path(options.detector))
+
+
+COMMAND = Command(
+    name="keypoints",
+    purpose="find 2-D key points in a recording's videos by a detector",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap keypoints recording.toml --detector mediapipe --python mp/bin/python --write",
+)

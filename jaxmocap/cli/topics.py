@@ -1,0 +1,76 @@
+"""``jaxmocap help``: the pages of ``jaxmocap/docs``, printed.
+
+INPUTS: a topic, or none. OUTPUTS: its page, or the list of all.
+"""
+
+import argparse
+import pydoc
+import sys
+from importlib.resources import files
+
+from jaxmocap.cli.command import Command
+
+# Every page, in the order of the list; what a reader begins with comes first.
+TOPICS = (
+    "start_vr",
+    "start_lab",
+    "start_jax",
+    "recording_file",
+    "live_file",
+    "outputs",
+    "calibrate",
+    "sync",
+    "keypoints",
+    "body",
+    "devices",
+    "filters",
+    "silhouettes",
+    "batch",
+    "convert",
+    "gradients",
+    "how_it_works",
+    "limits",
+    "papers",
+    "glossary",
+)
+
+
+def page(topic: str) -> str:
+    """The text of a topic's page, Markdown."""
+    return files("jaxmocap").joinpath("docs", f"{topic}.md").read_text(encoding="utf-8")
+
+
+def contents() -> str:
+    """Every topic with the title of its page."""
+    width = max(map(len, TOPICS))
+    lines = [f"  {topic:{width}}  {_title(topic)}" for topic in TOPICS]
+    return "\n".join(["jaxmocap help TOPIC prints one of these pages:", "", *lines])
+
+
+def _title(topic: str) -> str:
+    return page(topic).partition("\n")[0].removeprefix("# ")
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "topic", nargs="?", choices=TOPICS, metavar="TOPIC", help="a page; all are listed without"
+    )
+
+
+def _run(options: argparse.Namespace) -> None:
+    if options.topic is None:
+        print(contents())
+    elif sys.stdout.isatty():
+        pydoc.pager(page(options.topic))
+    else:
+        print(page(options.topic), end="")
+
+
+COMMAND = Command(
+    name="help",
+    purpose="print a page of the documentation",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap help recording_file",
+    reports_figures=False,
+)

@@ -1,0 +1,177 @@
+"""Key points of every video of a recording, and the lines that make ``track`` use them.
+
+    video ── frames ── detector (a process or a model of its own) ── keypoints/CAMERA.json
+
+INPUTS: a recording, a detector. OUTPUTS: one JSON file for each video, in MMPose's layout of a
+video; lines for the recording's file.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.capture.video import FrameSource, open_video
+from jaxmocap.formats.cameras.toml_sections import replace_entries_of_each
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.output_folder import OutputFolder
+from jaxmocap.formats.files.writing import write_text
+from jaxmocap.formats.recordings.keypoint_models import MODELS
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.geometry.cameras import Camera, depth, project
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.pipelines.progress import Progress, progress_bar
+from jaxmocap.pipelines.tracking.track import track
+
+# A person is asked for within the box of the landmarks, wider by this share of its longer side.
+MARGIN = 0.2
+# Decimals of pixels and confidences.
+DECIMALS = 2, 3
+
+# An image (H, W, 3) BGR uint8, and the box [left, top, right, bottom] of the person in it, pixels,
+# to (K, 3) pixels and confidences; None where nobody is.
+Detect = Callable[[np.ndarray, np.ndarray], np.ndarray | None]
+
+
+class Detector(NamedTuple):
+    """What finds key points.
+
+    Attributes:
+        model: whose points they are, of ``keypoint_models.MODELS``.
+        opened: gives the function for one video; what it took is given back at the end.
+    """
+
+    model: str
+    opened: Callable[[], AbstractContextManager[Detect]]
+
+
+class DetectedVideo(NamedTuple):
+    """What was found in one video.
+
+    Attributes:
+        camera: its name.
+        file: with the key points; None where nobody was found.
+        frames: of the video.
+        found: in how many of them somebody was found.
+    """
+
+    camera: str
+    file: Path | None
+    frames: int
+    found: int
+
+
+def detect_keypoints(
+    recording: Recording,
+    detector: Detector,
+    folder: Path,
+    progress: Progress | bool | None = None,
+) -> list[DetectedVideo]:
+    """Detect in every frame of every video, and write what was found.
+
+    With markers the person is looked for where the markers' pose is in the image.
+
+    Args:
+        recording: with videos.
+        detector: that finds the points.
+        folder: of the files, one for each camera.
+        progress: called with the frames done and their total; True shows a bar.
+
+    Raises:
+        InputError: no videos, or a detector that does not work.
+    """
+    if not recording.videos:
+        raise InputError(recording.path or recording.name, "found no [[video]], expected one")
+    out = OutputFolder(folder, "keypoints", [f"{v.camera_name}.json" for v in recording.videos])
+    videos = [open_video(source) for source in recording.videos]
+    boxes = [
+        _boxes(recording, source.camera, video)
+        for source, video in zip(recording.videos, videos, strict=True)
+    ]
+    total, done, results = sum(map(len, videos)), 0, []
+    with out.writing() as stage, progress_bar("detecting", progress) as show:
+        for source, video, around in zip(recording.videos, videos, boxes, strict=True):
+            people = []
+            with detector.opened() as detect:
+                for (_, image), box in zip(video.frames(), around, strict=True):
+                    people.append(None if image is None else detect(image, box))
+                    done += 1
+                    show(done, total)
+            found = sum(person is not None for person in people)
+            name = f"{source.camera_name}.json"
+            if found:
+                (stage / name).write_text(_text(people, detector.model), encoding="utf-8")
+            file = out.path / name if found else None
+            results.append(DetectedVideo(source.camera_name, file, len(people), found))
+    return results
+
+
+def _boxes(recording: Recording, camera: Camera, video: FrameSource) -> np.ndarray:
+    """(F, 4) where the markers' pose is in each frame; the whole image without markers."""
+    width, height = video.size
+    whole = np.array([0.0, 0.0, width, height])
+    boxes = np.tile(whole, (len(video), 1))
+    if not recording.places:
+        return boxes
+    motion = track(recording, Settings(refine="none"))
+    points = np.stack([motion.joints()[name] for name in LANDMARKS], 1)
+    nearest = np.abs(motion.times - video.times[:, None]).argmin(1)
+    there = points[nearest]
+    pixels = np.asarray(project(camera, there))
+    visible = np.isfinite(there).all((1, 2)) & (np.asarray(depth(camera, there)) > 0).all(1)
+    low, high = pixels.min(1), pixels.max(1)
+    wider = MARGIN * (high - low).max(1, keepdims=True)
+    around = np.clip(np.hstack([low - wider, high + wider]), 0, np.tile([width, height], 2))
+    seen = visible & (around[:, 2:] - around[:, :2] > 1).all(1)
+    boxes[seen] = around[seen]
+    return boxes
+
+
+def _text(people: list[np.ndarray | None], model: str) -> str:
+    """The key points of a video's frames as JSON, with the names of the points."""
+    names = {str(i): name for i, name in enumerate(MODELS[model])}
+    entries = [
+        {"frame_id": number, "instances": [] if person is None else [_instance(person)]}
+        for number, person in enumerate(people)
+    ]
+    return json.dumps({"meta_info": {"keypoint_id2name": names}, "instance_info": entries})
+
+
+def _instance(person: np.ndarray) -> dict[str, list]:
+    pixels, scores = np.round(person[:, :2], DECIMALS[0]), np.round(person[:, 2], DECIMALS[1])
+    return {"keypoints": pixels.tolist(), "keypoint_scores": scores.tolist()}
+
+
+def keypoint_entries(results: list[DetectedVideo], recording: Path) -> dict[str, str]:
+    """Camera -> what ``keypoints`` of its ``[[video]]`` has to be, in that recording's file."""
+    parent = recording.resolve().parent
+    entries = {}
+    for result in results:
+        if result.file is not None:
+            file = result.file.resolve()
+            inside = file.relative_to(parent) if file.is_relative_to(parent) else file
+            entries[result.camera] = inside.as_posix()
+    return entries
+
+
+def put_into(recording: Path, entries: dict[str, str]) -> None:
+    """Write them into the recording's file; comments and all other keys stay.
+
+    Raises:
+        InputError: its videos are not written as tables of their own.
+        OutputError: the file cannot be written.
+    """
+
+    def keypoints(video: Mapping[str, Any]) -> dict[str, str]:
+        entry = entries.get(video.get("camera", ""))
+        return {} if entry is None else {"keypoints": entry}
+
+    try:
+        text = replace_entries_of_each(recording.read_text("utf-8"), "video", keypoints)
+    except ValueError as error:
+        raise InputError(recording, f"[[video]] {error}: put the lines in by hand") from None
+    write_text(recording, text)

@@ -1,0 +1,204 @@
+"""``jaxmocap keypoints``: a detector's process, an ONNX model, what is written and refused."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from onnx import TensorProto, helper
+from small_recording import FRAMES, SIZE, write_small_recording
+
+from jaxmocap.cli import main
+from jaxmocap.formats.recordings.keypoints import read_keypoints
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.images.crops import cropped
+from jaxmocap.pipelines.keypoints.by_onnx import onnx_detector
+
+# Stands in for the package in the detector's environment: point n lies at (n, 2 n) hundredths.
+STUB = """
+class Mark:
+    def __init__(self, n): self.x, self.y, self.visibility = n / 100, n / 50, 0.5 + n / 100
+class Found:
+    landmark = [Mark(n) for n in range(33)]
+class Pose:
+    def __init__(self, model_complexity): self.frames = 0
+    def process(self, image):
+        self.frames += 1
+        if self.frames == {dies}: raise RuntimeError("out of something")
+        result = type("Result", (), {{}})()
+        result.pose_landmarks = None if self.frames == {nobody} or {never} else Found
+        return result
+class solutions:
+    class pose:
+        Pose = Pose
+"""
+COCO_OF_MEDIAPIPE = [0, 2, 5, 7, 8, 11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28]
+
+
+@pytest.fixture
+def recording(tmp_path) -> Path:
+    path = write_small_recording(tmp_path)
+    path.write_text("# swaying\n" + path.read_text("utf-8"), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def environment(tmp_path, monkeypatch):
+    """Puts a stand-in beside this Python; its processes find it."""
+
+    def put(nobody: int = 0, dies: int = 0, never: bool = False) -> None:
+        text = STUB.format(nobody=nobody, dies=dies, never=never)
+        (tmp_path / "stand_in").mkdir()
+        (tmp_path / "stand_in" / "mediapipe.py").write_text(text, encoding="utf-8")
+        monkeypatch.setenv("PYTHONPATH", str(tmp_path / "stand_in"))
+
+    return put
+
+
+def detect(recording: Path, *more: str, detector: str = "mediapipe") -> int:
+    return main(["keypoints", str(recording), "--detector", detector, *more])
+
+
+def test_a_process_detects_and_the_recording_uses_it(recording, environment, capsys):
+    environment(nobody=3)
+    assert detect(recording, "--python", sys.executable, "--write") == 0
+    printed = capsys.readouterr().out
+    assert f"found in {FRAMES - 1} of {FRAMES} frames" in printed
+    text = recording.read_text("utf-8")
+    assert text.startswith("# swaying\n") and 'keypoints = "keypoints/cam.json"' in text
+    source = Recording.load(recording).videos[0].keypoints
+    found = read_keypoints(source)
+    assert found.numbers.tolist() == list(range(FRAMES))
+    elbow = found.landmarks.index("elbow_l")
+    number = COCO_OF_MEDIAPIPE[7]
+    there = np.array([number / 100 * SIZE[0], number / 50 * SIZE[1]]) - 0.5
+    np.testing.assert_allclose(found.pixels_xy[0, 0, elbow], there, atol=0.01)
+    np.testing.assert_allclose(found.confidences[0, 0, elbow], 0.5 + number / 100, atol=1e-3)
+    assert np.isnan(found.pixels_xy[2]).all()
+    # Again: the line stays one line, the file is replaced.
+    assert detect(recording, "--python", sys.executable, "--write") == 0
+    assert recording.read_text("utf-8") == text
+
+
+def test_without_write_the_file_stays_and_the_line_is_printed(recording, environment, capsys):
+    environment()
+    before = recording.read_text("utf-8")
+    assert detect(recording, "--python", sys.executable) == 0
+    assert recording.read_text("utf-8") == before
+    assert 'keypoints = "keypoints/cam.json"' in capsys.readouterr().out
+
+
+def test_nobody_in_any_frame_is_said_and_writes_no_file(recording, environment, capsys):
+    environment(never=True)
+    assert detect(recording, "--python", sys.executable, "--write") == 1
+    assert "cam: nobody was found in any frame" in capsys.readouterr().err
+    assert not (recording.parent / "keypoints" / "cam.json").exists()
+    assert "keypoints =" not in recording.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ((), "--detector mediapipe: found no --python, expected an environment's"),
+        (("--python", "/nowhere/python"), "cannot be started (No such file or directory)"),
+        (("--python", sys.executable), "No module named 'mediapipe'"),
+    ],
+)
+def test_without_its_environment_one_sentence_says_how_to_make_it(
+    recording, given, expected, capsys
+):
+    assert detect(recording, *given) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert expected in last and "pip install mediapipe==0.10.21" in last
+
+
+def test_a_process_that_dies_leaves_everything_as_it_was(recording, environment, capsys):
+    environment(dies=4)
+    before = {path for path in recording.parent.rglob("*")}
+    assert detect(recording, "--python", sys.executable, "--write") == 2
+    assert "RuntimeError: out of something" in capsys.readouterr().err.splitlines()[-1]
+    assert {path for path in recording.parent.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    ("detector", "expected"),
+    [("yolo", "expected mediapipe or an .onnx file"), ("lost.onnx", "lost.onnx: no such file")],
+)
+def test_another_detector_is_refused(recording, detector, expected, capsys):
+    assert detect(recording, detector=detector) == 2
+    assert expected in capsys.readouterr().err.splitlines()[-1]
+
+
+def brightest(path: Path, points: int = 17, size: tuple[int, int] = (24, 32)) -> Path:
+    """A network all of whose points lie where the image is brightest."""
+    width, height = size
+    image = helper.make_tensor_value_info("image", TensorProto.FLOAT, ["batch", 3, height, width])
+    nodes, outputs = [], []
+    for name, along, count in (("x", 2, width), ("y", 3, height)):
+        axes = helper.make_tensor(f"axes_{name}", TensorProto.INT64, [2], [1, along])
+        many = helper.make_tensor(f"many_{name}", TensorProto.INT64, [3], [1, points, count])
+        one = helper.make_tensor(f"one_{name}", TensorProto.INT64, [1], [1])
+        nodes += [
+            helper.make_node("Constant", [], [tensor.name], value=tensor)
+            for tensor in (axes, many, one)
+        ]
+        nodes.append(
+            helper.make_node("ReduceMax", ["image", axes.name], [f"row_{name}"], keepdims=0)
+        )
+        nodes.append(helper.make_node("Unsqueeze", [f"row_{name}", one.name], [f"rows_{name}"]))
+        nodes.append(helper.make_node("Expand", [f"rows_{name}", many.name], [name]))
+        shape = ["batch", points, count]
+        outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, shape))
+    graph = helper.make_graph(nodes, "brightest", [image], outputs)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
+    onnx.checker.check_model(model)
+    onnx.save(model, str(path))
+    return path
+
+
+def test_a_network_gives_pixels_of_the_whole_image(tmp_path):
+    detector = onnx_detector(brightest(tmp_path / "net.onnx"))
+    image = np.zeros((90, 120, 3), np.uint8)
+    image[47:56, 67:76] = 255
+    assert detector.model == "COCO_17"
+    with detector.opened() as detected:
+        for box in ([50, 30, 95, 80], [0, 0, 120, 90]):
+            found = detected(image, np.array(box, float))
+            assert found is not None and found.shape == (17, 3)
+            cell = max((box[2] - box[0]) / 24, (box[3] - box[1]) / 32)
+            np.testing.assert_allclose(found[:, :2], np.tile([71, 51], (17, 1)), atol=4.5 + cell)
+            assert (found[:, 2] == 1).all()
+        assert detected(np.zeros_like(image), np.array([0.0, 0, 120, 90])) is None
+
+
+def test_the_command_takes_a_network(recording, tmp_path, capsys):
+    net = brightest(tmp_path / "net.onnx", points=26)
+    assert detect(recording, detector=str(net)) == 0
+    found = read_keypoints(recording.parent / "keypoints" / "cam.json")
+    assert "elbow_l" in found.landmarks and "toe_l" in found.landmarks
+
+
+def test_another_network_is_refused(tmp_path, recording, capsys):
+    net = brightest(tmp_path / "net.onnx", points=5)
+    assert detect(recording, detector=str(net)) == 2
+    assert "found 5 points, expected one of 17, 26, 133" in capsys.readouterr().err
+    (tmp_path / "text.onnx").write_text("no network")
+    assert detect(recording, detector=str(tmp_path / "text.onnx")) == 2
+    assert "cannot be read as ONNX" in capsys.readouterr().err
+
+
+@given(
+    st.tuples(st.floats(-20, 90), st.floats(-20, 70), st.floats(1, 80), st.floats(1, 80)),
+    st.sampled_from([(24, 32), (32, 24), (48, 48)]),
+)
+def test_a_crop_holds_its_box_about_its_middle(box, size):
+    left, top, width, height = box
+    edges = np.array([left, top, left + width, top + height])
+    crop = cropped(np.zeros((60, 80, 3), np.uint8), edges, size)
+    assert crop.image.shape == (size[1], size[0], 3)
+    ends = crop.pixels_of(np.array([[-0.5, -0.5], [size[0] - 0.5, size[1] - 0.5]]))
+    assert (ends[0] <= edges[:2] + 1e-6).all() and (ends[1] >= edges[2:] - 1e-6).all()
+    np.testing.assert_allclose(ends.mean(0), (edges[:2] + edges[2:]) / 2, atol=1e-6)
