@@ -41,9 +41,11 @@ def _opened(python: str) -> Iterator[Detect]:
         InputError: that Python does not start, has no ``mediapipe``, or its process ends.
     """
     with tempfile.TemporaryFile("w+") as errors:
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}
+        pipe = subprocess.PIPE
         try:
-            process = subprocess.Popen([python, str(SCRIPT)], **pipes)
+            process = subprocess.Popen(
+                [python, str(SCRIPT)], stdin=pipe, stdout=pipe, stderr=errors
+            )
         except OSError as error:
             problem = f"cannot be started ({error.strerror}); {RECIPE} makes an environment"
             raise InputError(python, problem) from None

@@ -12,6 +12,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS
@@ -120,9 +121,11 @@ def _boxes(recording: Recording, camera: Camera, video: FrameSource) -> np.ndarr
     motion = track(recording, Settings(refine="none"))
     points = np.stack([motion.joints()[name] for name in LANDMARKS], 1)
     nearest = np.abs(motion.times - video.times[:, None]).argmin(1)
-    there = points[nearest]
+    there = jnp.asarray(points[nearest])
     pixels = np.asarray(project(camera, there))
-    visible = np.isfinite(there).all((1, 2)) & (np.asarray(depth(camera, there)) > 0).all(1)
+    visible = np.isfinite(np.asarray(there)).all((1, 2)) & (
+        np.asarray(depth(camera, there)) > 0
+    ).all(1)
     low, high = pixels.min(1), pixels.max(1)
     wider = MARGIN * (high - low).max(1, keepdims=True)
     around = np.clip(np.hstack([low - wider, high + wider]), 0, np.tile([width, height], 2))
