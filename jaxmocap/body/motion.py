@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.geometry.origin import local_origin
 
 # Poses at least in one call of the landmarks' function.
@@ -30,8 +30,6 @@ class Report:
             edge, pixels; NaN where no video frame was used.
         swivels: (T, 2) turn of the left and the right arm about shoulder and hand that video added
             to the markers' pose, radians.
-        confidence: (T, 2) between 0 and 1, left and right elbow; one half where the elbow's
-            standard deviation is 5 cm.
         landmarks_std: (T, L, 3) standard deviations of the ``LANDMARKS``' coordinates, world,
             metres; NaN where they were not estimated.
         from_prior: (T, L) 1 where a landmark comes from the prior alone, neither marker nor video
@@ -45,12 +43,16 @@ class Report:
     marker_errors: np.ndarray
     arm_costs: np.ndarray
     swivels: np.ndarray
-    confidence: np.ndarray
     landmarks_std: np.ndarray
     from_prior: np.ndarray
     statuses: tuple[tuple[str, ...], ...]
     milliseconds: dict[str, np.ndarray] = field(default_factory=dict)
     settings: dict = field(default_factory=dict)
+
+    @property
+    def elbow_deviations(self) -> np.ndarray:
+        """(T, 2) standard deviations of left and right elbow, over the three axes, metres."""
+        return np.sqrt(np.sum(np.asarray(self.landmarks_std, float)[:, ELBOWS] ** 2, -1))
 
 
 @dataclass(frozen=True)

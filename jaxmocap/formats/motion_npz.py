@@ -2,7 +2,7 @@
 
 INPUTS: a Motion; or a .npz file that was written here.
 OUTPUTS: a .npz file whose arrays are named ``times``, ``pose.position``, ``skeleton.lengths``,
-``tree.bones``, ``report.confidence`` and so on; or the Motion.
+``tree.bones``, ``report.landmarks_std`` and so on; or the Motion.
 """
 
 import json
@@ -45,7 +45,6 @@ _REPORT_FIELDS = (
     "marker_errors",
     "arm_costs",
     "swivels",
-    "confidence",
     "landmarks_std",
     "from_prior",
 )
@@ -101,7 +100,6 @@ _REPORT_SPECS = {
     "report.swivels": ArraySpec(
         ("T", 2), low=-_LARGEST_RAD, high=_LARGEST_RAD, allow_nan=True, allow_infinity=True
     ),
-    "report.confidence": ArraySpec(("T", 2), low=0, high=1, allow_nan=True),
     "report.landmarks_std": ArraySpec(
         ("T", len(LANDMARKS), 3), low=-1e9, high=1e9, allow_nan=True, allow_infinity=True
     ),

@@ -48,8 +48,6 @@ class ElbowBelief(NamedTuple):
 R_TURNS = Rotation.from_rotvec(TURNS).as_matrix()
 # How far apart two candidates' elbows are on a forearm of one metre.
 CHORDS = 2 * np.sin(np.minimum(np.linalg.norm(TURNS[:, None] - TURNS, axis=-1), np.pi) / 2)
-# Deviation of an elbow, metres, at which the confidence is one half.
-HALF_AT_M = 0.05
 
 
 def no_belief(settings: ElbowSearchSettings, pose: Pose) -> ElbowBelief:
@@ -135,8 +133,3 @@ def without_image(settings: ElbowSearchSettings, belief: ElbowBelief) -> tuple[A
     drift = settings.drift * settings.elbow_speed * belief.age
     deviation = jnp.minimum(jnp.sqrt(belief.deviation**2 + drift**2), settings.elbow_prior)
     return fading * belief.turn, deviation
-
-
-def confidence_of(deviation: Array | np.ndarray) -> Array | np.ndarray:
-    """Confidence (...) in elbows whose standard deviation is so many metres, 0 to 1."""
-    return 1 / (1 + (deviation / HALF_AT_M) ** 2)

@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jaxmocap.body.arms import Arms, arm_dofs, arms_of, flesh, hang, swing, swivels, turn_between
@@ -32,7 +31,6 @@ from jaxmocap.hybrid.balance import bow_on_feet
 from jaxmocap.hybrid.elbow_search import (
     ElbowBelief,
     believed_elbows,
-    confidence_of,
     search,
     without_image,
 )
@@ -81,11 +79,6 @@ class StepReport(NamedTuple):
     placed: Array
     balanced: Array
     status: Array
-
-    @property
-    def confidence(self) -> Array | np.ndarray:
-        """(2,) in the elbows, 0 to 1."""
-        return confidence_of(self.elbow_deviations)
 
 
 def refine(

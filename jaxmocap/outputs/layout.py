@@ -14,7 +14,7 @@ from jaxmocap.outputs.scene import BodyScene
 TIMELINE = "time"
 # Entity -> title of its view.
 SERIES = {
-    "confidence": "Elbow confidence",
+    "elbow_deviations": "Elbows [± cm]",
     "marker_errors": "Marker errors [mm]",
     "arm_costs": "Arm costs [px]",
     "swivel": "Swivel by video [°]",
@@ -75,7 +75,6 @@ def _series_view(entity: str, title: str) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
         origin=f"/{entity}",
         name=title,
-        axis_y=rrb.ScalarAxis(range=(0, 1)) if entity == "confidence" else None,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
     )
 

@@ -1,4 +1,4 @@
-"""A live run in the rerun viewer: the body, the cameras' images, confidence and latency.
+"""A live run in the rerun viewer: the body, the cameras' images, deviations and latency.
 
 INPUTS: a viewer's address; poses and frames. OUTPUTS: none; the viewer shows them.
 
@@ -24,7 +24,7 @@ INTERVAL_S = 1 / 25
 # ``close`` waits at most so many seconds for the one being sent.
 CLOSE_TIMEOUT_S = 3.0
 LATENCY = "latency"
-SERIES = {"confidence": "Elbow confidence", "milliseconds": "Latency [ms]"}
+SERIES = {"elbow_deviations": "Elbows [± cm]", "milliseconds": "Latency [ms]"}
 JPEG_QUALITY = 60
 
 
@@ -34,14 +34,14 @@ class LiveSnapshot(NamedTuple):
     Attributes:
         time: seconds.
         pose: of the person.
-        confidence: (2,) in the elbows.
+        deviations: (2,) standard deviations of the elbows, metres; NaN where unknown.
         latency_ms: from the sample to the pose.
         images: camera -> newest image (H, W, 3) BGR.
     """
 
     time: float
     pose: Pose
-    confidence: np.ndarray
+    deviations: np.ndarray
     latency_ms: float
     images: Mapping[str, np.ndarray]
 
@@ -72,7 +72,7 @@ class LiveView:
         recorder.log_limbs(self._stream, skeleton)
         recorder.log_moment(self._stream, standing)
         for i, name in enumerate((*recorder.SIDES, LATENCY)):
-            root = "milliseconds" if name == LATENCY else "confidence"
+            root = "milliseconds" if name == LATENCY else "elbow_deviations"
             recorder.log_line(self._stream, root, name, i)
         for name, camera in cameras.items():
             recorder.log_camera(self._stream, name, camera)
@@ -117,7 +117,8 @@ class LiveView:
                 self._stream, name, self._cameras[name], scene, np.array([snapshot.time])
             )
         values = {
-            side: float(c) for side, c in zip(recorder.SIDES, snapshot.confidence, strict=True)
+            side: 100 * float(each)
+            for side, each in zip(recorder.SIDES, snapshot.deviations, strict=True)
         }
-        recorder.log_values(self._stream, "confidence", values)
+        recorder.log_values(self._stream, "elbow_deviations", values)
         recorder.log_values(self._stream, "milliseconds", {LATENCY: snapshot.latency_ms})

@@ -26,7 +26,9 @@ JOINT_COLOUR = (255, 255, 255)
 # Of the left and the right arm.
 OUTLINE_COLOURS = {"l": (255, 200, 60), "r": (60, 160, 255)}
 TARGET_COLOUR = (255, 60, 255)
-# Of an unknown confidence.
+# An elbow of this deviation is red, metres: little more than the markers' guess.
+UNSURE_M = 0.1
+# Of an unknown deviation.
 UNKNOWN_COLOUR = (170, 170, 170)
 # Ticks per second of the file's clock.
 CLOCK_HZ = 90_000
@@ -132,15 +134,15 @@ class OverlayArtist:
         """Draw the body at that time, in place; beyond the motion only the legend."""
         size = max(1, round(min(canvas.shape[:2]) / 480))
         sample = int(np.argmin(np.abs(self.scene.times - time)))
-        ends, confidence = self.scene.at(time), self._confidence(sample)
+        ends, deviations = self.scene.at(time), self._deviations(sample)
         if ends is not None:
             self._draw_outlines(canvas, *ends, size)
             self._draw_points(canvas, *ends, sample, size)
-        _draw_legend(canvas, time, confidence, ends is not None)
+        _draw_legend(canvas, time, deviations, ends is not None, bool(self.targets))
 
-    def _confidence(self, sample: int) -> dict[str, float]:
+    def _deviations(self, sample: int) -> dict[str, float]:
         report = self.motion.report
-        left, right = (np.nan, np.nan) if report is None else report.confidence[sample]
+        left, right = (np.nan, np.nan) if report is None else report.elbow_deviations[sample]
         return {"l": float(left), "r": float(right)}
 
     def _draw_outlines(
@@ -163,10 +165,10 @@ class OverlayArtist:
         )
         for line in np.stack([near_xy, far_xy], 1):
             _draw_line(canvas, line, BONE_COLOUR, size)
-        confidence = self._confidence(sample)
+        deviations = self._deviations(sample)
         for segment, pixel in zip(self.scene.tree.segments, near_xy, strict=True):
             if segment.part == "forearm":
-                _draw_dot(canvas, pixel, confidence_colour(confidence[segment.side]), 5 * size)
+                _draw_dot(canvas, pixel, deviation_colour(deviations[segment.side]), 5 * size)
             else:
                 _draw_dot(canvas, pixel, JOINT_COLOUR, 2 * size)
         for pixel in targets_xy:
@@ -178,11 +180,11 @@ def encode_jpeg(image: np.ndarray, quality: int) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
-def confidence_colour(confidence: float) -> tuple[int, int, int]:
-    """BGR: red at 0, yellow at one half, green at 1, grey where unknown."""
-    if not np.isfinite(confidence):
+def deviation_colour(deviation: float) -> tuple[int, int, int]:
+    """BGR: from green at 0 over yellow to red at ``UNSURE_M`` and beyond; grey where unknown."""
+    if not np.isfinite(deviation):
         return UNKNOWN_COLOUR
-    part = float(np.clip(confidence, 0.0, 1.0))
+    part = 1 - float(np.clip(deviation / UNSURE_M, 0.0, 1.0))
     return 0, round(255 * min(1.0, 2 * part)), round(255 * min(1.0, 2 - 2 * part))
 
 
@@ -208,25 +210,22 @@ def _draw_cross(canvas: np.ndarray, pixel: np.ndarray, colour: tuple, size: int)
 
 
 def _draw_legend(
-    canvas: np.ndarray, time: float, confidence: dict[str, float], tracked: bool
+    canvas: np.ndarray, time: float, deviations: dict[str, float], tracked: bool, marked: bool
 ) -> None:
-    """Time, both elbows' confidences in their colours, and what the colours and crosses mean."""
+    """Time, both elbows' deviations in their colours, and what the colours and crosses mean."""
     scale = max(0.4, min(canvas.shape[:2]) / 1000)
     line, left = round(34 * scale), round(12 * scale)
     title = f"t = {time:.3f} s" + ("" if tracked else ", no pose")
     lines: list[tuple[str, tuple[int, int, int]]] = [(title, JOINT_COLOUR)]
     for side, name in (("l", "left"), ("r", "right")):
-        value = confidence[side]
-        text = f"{name} elbow: confidence " + (f"{value:.2f}" if np.isfinite(value) else "unknown")
-        lines.append((text, confidence_colour(value)))
+        value = deviations[side]
+        sure = f"+/- {100 * value:.0f} cm" if np.isfinite(value) else "not estimated"
+        lines.append((f"{name} elbow {sure}", deviation_colour(value)))
     for row, (text, colour) in enumerate(lines, 1):
         _write(canvas, text, (left, row * line), colour, scale)
     bottom = canvas.shape[0] - round(12 * scale)
-    for text, colour in (
-        ("left arm", OUTLINE_COLOURS["l"]),
-        ("right arm", OUTLINE_COLOURS["r"]),
-        ("+ marker", TARGET_COLOUR),
-    ):
+    arms = [("left arm", OUTLINE_COLOURS["l"]), ("right arm", OUTLINE_COLOURS["r"])]
+    for text, colour in [*arms, *([("+ marker", TARGET_COLOUR)] if marked else [])]:
         left += _write(canvas, text, (left, bottom), colour, scale) + line
 
 

@@ -263,7 +263,7 @@ def log_report(stream: rr.RecordingStream, times: np.ndarray, report: Report) ->
     errors = 1000 * np.asarray(report.marker_errors, float)
     _send_series(stream, "marker_errors", times, report.markers, errors)
     _send_series(stream, "arm_costs", times, SIDES, report.arm_costs)
-    _send_series(stream, "confidence", times, SIDES, report.confidence)
+    _send_series(stream, "elbow_deviations", times, SIDES, 100 * report.elbow_deviations)
     _send_series(stream, "swivel", times, SIDES, np.degrees(report.swivels))
     for i, (stage, spent) in enumerate(report.milliseconds.items()):
         # A stage that ran once would dwarf the rest.

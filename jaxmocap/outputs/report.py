@@ -45,7 +45,7 @@ def write_report(path: str | Path, motion: Motion, extra: Mapping | None = None)
 
 
 def summarise(motion: Motion) -> dict:
-    """Frames, milliseconds, costs, statuses, confidence, marker errors, settings, versions.
+    """Frames, milliseconds, costs, statuses, deviations, marker errors, settings, versions.
 
     "misfit" is a warning where the body is far off its markers.
     """
@@ -89,7 +89,7 @@ def _summarise_report(times: np.ndarray, report: Report) -> dict:
         },
         "costs_px": _by_arm(report.arm_costs, {"median": 50, "p95": 95}),
         "statuses": _count_statuses(times, report.statuses),
-        "confidence": _by_arm(report.confidence, {"p5": 5, "median": 50}),
+        "elbow_deviations_m": _by_arm(report.elbow_deviations, {"median": 50, "p95": 95}),
         "swivel_rad": _by_arm(np.abs(report.swivels), {"median": 50, "p95": 95}),
         "marker_errors_m": {
             name: statistics(errors, {"p95": 95})

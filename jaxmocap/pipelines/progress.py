@@ -5,23 +5,58 @@ INPUTS: numbers of steps. OUTPUTS: progress bars.
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from threading import Event, Thread
 
 from tqdm import tqdm
 
+# Seconds between two looks of a bar that waits for its first step.
+TICK_S = 0.5
 # Called with the steps done and their total.
 Progress = Callable[[int, int], None]
 
 
 @contextmanager
-def progress_bar(label: str, progress: Progress | bool | None) -> Iterator[Progress]:
-    """What to call with the steps done: the caller's own, a bar on stderr for True, or nothing."""
+def progress_bar(
+    label: str, progress: Progress | bool | None, before: str = ""
+) -> Iterator[Progress]:
+    """What to call with the steps done: the caller's own, a bar on stderr for True, or nothing.
+
+    Args:
+        label: of the bar.
+        progress: see above.
+        before: what is done before the first step; the bar shows it, and the seconds that pass.
+    """
     if progress is not True:
         yield progress or (lambda done, total: None)
         return
-    with tqdm(desc=label, leave=True) as bar:
+    waiting = f"{label}: {before} first" if before else label
+    with tqdm(desc=waiting, leave=True) as bar, _ticking(bar) as begun:
 
         def show(done: int, total: int) -> None:
+            if not begun.is_set():
+                begun.set()
+                bar.set_description(label, refresh=False)
             bar.total = total
             bar.update(done - bar.n)
 
         yield show
+
+
+@contextmanager
+def _ticking(bar: "tqdm") -> Iterator[Event]:
+    """An event to be set at the first step; until then a bar in a terminal shows the time."""
+    begun = Event()
+
+    def tick() -> None:
+        while not begun.wait(TICK_S):
+            bar.refresh()
+
+    beside = Thread(target=tick, name="progress", daemon=True)
+    if bar.fp.isatty():
+        beside.start()
+    try:
+        yield begun
+    finally:
+        begun.set()
+        if beside.is_alive():
+            beside.join()

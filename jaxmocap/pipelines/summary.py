@@ -13,28 +13,19 @@ from jaxmocap.body.motion import Motion, Report
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.outputs.report import misfit, plain, summarise
 
-# Stages that run once, compilation included.
-ONE_TIME_STAGES = ("first_call", "smooth")
-
 
 def frames_per_second(report: Report) -> float:
-    """All stages of an event together: of those with a video frame where there are any.
+    """Video frames, or samples where there is none, by all the seconds that tracking took.
 
-    In the median, to which smoothing over a whole recording adds its mean, compilation included.
-    NaN where nothing was timed.
+    Compilation is included. NaN where nothing was timed.
     """
-    spent = report.milliseconds
-    for stage in ("frame", "sample"):
-        if stage in spent:
-            each = float(np.median(spent[stage]))
-            if stage == "frame" and len(spent.get("smooth", ())) == 1:
-                each += float(spent["smooth"][0]) / len(spent["observe"])
-            return 1e3 / each
-    return float("nan")
+    seconds = report.settings.get("seconds", {})
+    count = report.settings.get("video_frames") or len(report.statuses)
+    return count / sum(seconds.values()) if seconds else float("nan")
 
 
 def summary(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] = ()) -> str:
-    """Samples, rate, stages, marker errors, confidence, warnings, and the files.
+    """Samples, seconds, marker errors, the elbows' deviations, warnings, and the files.
 
     Args:
         motion: with or without its report.
@@ -61,19 +52,22 @@ def summary(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] 
 
 
 def _figures(report: Report) -> list[tuple[str, str]]:
-    rows = [("rate", f"{frames_per_second(report):.0f} frames per second")]
-    for stage, times in report.milliseconds.items():
-        if stage in ONE_TIME_STAGES:
-            rows.append((stage, f"{times[0] / 1e3:.1f} s, compilation included"))
-        else:
-            rows.append((stage, f"{np.median(times):.2f} ms (median of {len(times)})"))
+    rows, seconds = [], report.settings.get("seconds", {})
+    if seconds:
+        passes = ", ".join(
+            f"{name} {spent:.1f} s" for name, spent in seconds.items() if spent > 0.05
+        )
+        frames = report.settings.get("video_frames", 0)
+        of_frames = f" for {frames} video frames" if frames else ""
+        rows.append(("took", f"{sum(seconds.values()):.1f} s{of_frames}: {passes}"))
     errors = [f"{name} {_centimetres(column)}" for name, column in _columns(report)]
     if errors:
-        rows.append(("off the markers", f"{', '.join(errors)} (95 %)"))
-    # Frames need not fall on a sample to have been observed.
-    if "observe" in report.milliseconds:
-        means = [f"{np.nanmean(column):.2f}" for column in report.confidence.T]
-        rows.append(("confidence", f"left elbow {means[0]}, right elbow {means[1]}"))
+        rows.append(("markers", f"position error {', '.join(errors)} (95 %)"))
+    deviations = report.elbow_deviations
+    # Those of silhouettes alone are far too small still.
+    if len(report.markers) and np.isfinite(deviations).any():
+        left, right = 100 * np.nanmedian(deviations, 0)
+        rows.append(("elbows", f"left ± {left:.1f} cm, right ± {right:.1f} cm (median)"))
     return rows
 
 

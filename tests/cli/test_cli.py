@@ -61,7 +61,7 @@ def test_track_prints_figures_as_json_and_the_summary_beside_them(tracked):
     figures = json.loads(printed)
     assert figures["frames"] == SAMPLES and figures["frames_per_second"] > 0
     assert figures["settings"]["recording"].endswith("recording.toml")
-    for text in ("tracking", "frames per second", str(out / "joints.trc")):
+    for text in ("tracking", "video frames: first pass", str(out / "joints.trc")):
         assert text in stderr
 
 

@@ -137,7 +137,7 @@ def test_a_live_view_shows_the_newest_pose_and_image_and_keeps_up(tmp_path, monk
     assert len(sent) < 100 and sent[-1].time == 0.995
     assert any(snapshot.images and (snapshot.images["cam"] == 99).all() for snapshot in sent)
     entities = {chunk.entity_path for chunk in chunks.RrdReader(path).stream()}
-    assert entities >= {"/world/cameras/cam/image", "/confidence/left", "/world/body/head"}
+    assert entities >= {"/world/cameras/cam/image", "/elbow_deviations/left", "/world/body/head"}
 
 
 def test_who_stands_has_the_feet_on_the_floor():

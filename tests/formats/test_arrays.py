@@ -200,7 +200,6 @@ def report(**change) -> dict[str, np.ndarray]:
         "report.marker_errors": np.zeros((SAMPLES, 1)),
         "report.arm_costs": np.full((SAMPLES, 2), np.nan),
         "report.swivels": np.zeros((SAMPLES, 2)),
-        "report.confidence": np.zeros((SAMPLES, 2)),
         "report.landmarks_std": np.full((SAMPLES, 20, 3), np.inf),
         "report.from_prior": np.zeros((SAMPLES, 20)),
         "report.statuses": np.array(json.dumps([[]] * SAMPLES)),
@@ -226,7 +225,7 @@ def test_a_report_may_hold_what_is_unknown_or_unbounded(tmp_path, motion):
         ({"settings": np.array("3")}, "report.settings: found 3, expected a JSON table"),
         ({"settings": np.array(f'{{"a": {"9" * 5000}}}')}, "a number of thousands of digits"),
         ({"settings": np.array("{")}, "holds no readable JSON (line 1, column 2"),
-        ({"confidence": np.full((SAMPLES, 2), 2.0)}, "found 2.0, expected numbers from 0 to 1"),
+        ({"from_prior": np.full((SAMPLES, 20), 2.0)}, "found 2.0, expected numbers from 0 to 1"),
         ({"marker_errors": np.zeros((SAMPLES, 2))}, "with T = 60 as in times, M = 1 as in"),
     ],
 )

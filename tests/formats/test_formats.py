@@ -378,7 +378,6 @@ def test_a_motion_survives_a_round_trip_with_skeleton_and_report(tmp_path):
         marker_errors=rng.normal(size=(4, 2)),
         arm_costs=np.full((4, 2), np.nan),
         swivels=rng.normal(size=(4, 2)),
-        confidence=rng.uniform(size=(4, 2)),
         landmarks_std=rng.uniform(size=(4, len(LANDMARKS), 3)),
         from_prior=rng.integers(0, 2, (4, len(LANDMARKS))).astype(float),
         statuses=((), ("the head was lost",), (), ("a", "b")),

@@ -138,7 +138,7 @@ def test_video_finds_the_elbows_that_markers_alone_miss(tracker):
     assert errors[4:].mean() < 0.3 * without.mean()
     for _, _, report in tracked[4:]:
         assert (np.asarray(report.outline_px) < 3).all()
-        assert (np.asarray(report.confidence) > 0.5).all()
+        assert (np.asarray(report.elbow_deviations) < 0.05).all()
         assert np.abs(report.swivels).max() > 0.5
 
 
@@ -168,13 +168,13 @@ def test_what_video_found_is_carried_to_samples_without_a_frame(tracker):
 
 def test_without_images_it_ends_at_the_markers_pose_and_grows_unsure(tracker):
     state, tracked = followed(tracker, 8)
-    certain = np.asarray(tracked[-1][2].confidence)
+    deviations = np.asarray(tracked[-1][2].elbow_deviations)
     for i in range(8, 8 + 4 * RATE, 6):
         truth = waving(8 / RATE)
         state, pose, report = tracker.step(state, i / RATE, markers_of(truth), [BLACK])
-        assert (np.asarray(report.confidence) <= certain + 1e-6).all()
-        certain = np.asarray(report.confidence)
-    assert (certain < 0.2).all()
+        assert (np.asarray(report.elbow_deviations) >= deviations - 1e-6).all()
+        deviations = np.asarray(report.elbow_deviations)
+    assert (deviations > 0.1).all()
     np.testing.assert_allclose(arms_in(pose).elbow, arms_in(report.marker_pose).elbow, atol=0.05)
 
 
@@ -185,7 +185,6 @@ def test_events_may_be_solved_by_their_markers_and_refined_when_asked_for(tracke
     for _ in range(3):
         later, pose, report = tracker.solve(later, markers)
         assert np.isnan(np.asarray(report.elbow_deviations)).all()
-        assert np.isnan(np.asarray(report.confidence)).all()
         np.testing.assert_array_equal(pose.angles, report.marker_pose.angles)
     assert later.belief is state.belief and later.time == state.time
     alone = state

@@ -49,12 +49,12 @@ class Tracker:
     def step(self, state, time, markers_world, images):
         self.steps.append((time, markers_world, images))
         self.elapsed = None if state.time is None else time - state.time
-        report = SimpleNamespace(placed=False, confidence=np.array([0.25, 0.75]))
+        report = SimpleNamespace(placed=False, elbow_deviations=np.array([0.02, 0.04]))
         return State(time), POSE, report
 
     def solve(self, state, markers_world):
         self.solved.append(markers_world)
-        return state, POSE, SimpleNamespace(placed=False, confidence=np.full(2, np.nan))
+        return state, POSE, SimpleNamespace(placed=False, elbow_deviations=np.full(2, np.nan))
 
 
 class Smoother:
@@ -111,7 +111,7 @@ def test_every_sample_gives_a_pose_at_once_and_frames_give_none(tracking):
         assert [output.time for output in outputs] == [i / 90]
         assert outputs[0].arrived == i / 90 + 0.002
         assert not live.frames([frame(i / 90 + 0.003)])
-    assert outputs[0].confidence.tolist() == [0.25, 0.75]
+    assert outputs[0].deviations.tolist() == [0.02, 0.04]
 
 
 @pytest.mark.parametrize("smooth", [False, True])
@@ -121,7 +121,7 @@ def test_while_programs_compile_the_markers_poses_go_out(tracking, smooth):
     for i in range(4):
         outputs = live.sample(sample(i / 90))
         assert [output.time for output in outputs] == [i / 90]
-        assert outputs[0].confidence.tolist() == [0, 0]
+        assert np.isnan(outputs[0].deviations).all()
         assert not live.frames([frame(i / 90 + 0.003)])
     assert not live.is_ready and not live.tracker.steps and len(live.tracker.solved) == 4
     compiling.set_result(None)

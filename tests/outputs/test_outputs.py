@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.solids import limb_solid
-from jaxmocap.outputs.overlay import OverlayArtist, confidence_colour, write_overlay
+from jaxmocap.outputs.overlay import OverlayArtist, deviation_colour, write_overlay
 from jaxmocap.outputs.report import write_report
 from jaxmocap.outputs.scene import limb_outlines, make_scene, pixels
 from jaxmocap.outputs.viewer import Footage, write_rerun
@@ -48,13 +48,14 @@ def make_report() -> Report:
     costs[::3] = 2.0
     missing = [("marker LWrist is missing",) if 5 <= i < 9 else () for i in range(SAMPLES)]
     missing[20] = ("marker LWrist is missing", "planted again")
+    deviations = np.full((SAMPLES, len(LANDMARKS), 3), 0.02)
+    deviations[:, ELBOWS[0]], deviations[:, ELBOWS[1]] = 0.0, 0.2
     return Report(
         markers=("Head", "L Wrist:1"),
         marker_errors=errors,
         arm_costs=costs,
         swivels=np.full((SAMPLES, 2), 0.1),
-        confidence=np.tile([1.0, 0.0], (SAMPLES, 1)),
-        landmarks_std=np.full((SAMPLES, len(LANDMARKS), 3), 0.02),
+        landmarks_std=deviations,
         from_prior=np.zeros((SAMPLES, len(LANDMARKS))),
         statuses=tuple(missing),
         milliseconds={"solve": np.arange(101.0), "refine": np.full(13, 2.0)},
@@ -189,11 +190,11 @@ def test_no_frame_is_an_input_error_and_leaves_earlier_output_as_it_was(tmp_path
     assert [file.name for file in tmp_path.iterdir()] == ["overlay.mp4"]
 
 
-def test_confidence_goes_from_red_over_yellow_to_green():
-    assert confidence_colour(0.0) == (0, 0, 255)
-    assert confidence_colour(0.5) == (0, 255, 255)
-    assert confidence_colour(1.0) == (0, 255, 0)
-    assert len(set(confidence_colour(float("nan")))) == 1
+def test_a_deviation_goes_from_green_over_yellow_to_red():
+    assert deviation_colour(0.0) == (0, 255, 0)
+    assert deviation_colour(0.05) == (0, 255, 255)
+    assert deviation_colour(0.1) == deviation_colour(0.3) == (0, 0, 255)
+    assert len(set(deviation_colour(float("nan")))) == 1
 
 
 coordinates = st.floats(-0.6, 0.6)
@@ -344,7 +345,7 @@ def test_the_viewer_shows_each_landmarks_deviation(tmp_path, motion):
 def test_a_motion_without_report_or_camera_can_be_viewed(tmp_path, motion):
     write_rerun(tmp_path / "recording.rrd", replace(motion, report=None))
     timed, _ = read_recording(tmp_path / "recording.rrd")
-    assert "/world/skeleton" in timed and "/confidence/left" not in timed
+    assert "/world/skeleton" in timed and "/elbow_deviations/left" not in timed
     assert [file.name for file in tmp_path.iterdir()] == ["recording.rrd"]
 
 
@@ -362,10 +363,10 @@ def test_the_report_tells_times_costs_and_statuses_and_has_null_for_nan(tmp_path
     assert report["milliseconds"]["solve"] == {"count": 101, "mean": 50, "median": 50, "p99": 99}
     assert report["costs_px"]["left"] == {"count": 14, "mean": 2, "median": 2, "p95": 2}
     assert report["marker_errors_m"]["L Wrist:1"]["count"] == SAMPLES - 4
-    elbow = report["landmarks"]["elbow_l"]
-    assert elbow["deviation_m"]["median"] == pytest.approx(0.02 * 3**0.5)
-    assert 0 <= elbow["from_prior_share"] <= 1
-    assert report["confidence"]["left"]["mean"] == 1 and report["confidence"]["right"]["mean"] == 0
+    knee = report["landmarks"]["knee_l"]
+    assert knee["deviation_m"]["median"] == pytest.approx(0.02 * 3**0.5)
+    assert 0 <= knee["from_prior_share"] <= 1
+    assert report["elbow_deviations_m"]["right"]["mean"] == pytest.approx(0.2 * 3**0.5)
     times = motion.times
     assert report["statuses"]["marker LWrist is missing"] == {
         "count": 5,
@@ -380,10 +381,13 @@ def test_the_report_tells_times_costs_and_statuses_and_has_null_for_nan(tmp_path
 
 def test_a_report_without_any_sample_seen_has_nulls_and_counts_of_zero(tmp_path, motion):
     blind = replace(
-        motion.report, confidence=np.full((SAMPLES, 2), np.nan), statuses=((),) * SAMPLES
+        motion.report,
+        landmarks_std=np.full_like(motion.report.landmarks_std, np.nan),
+        statuses=((),) * SAMPLES,
     )
     report = write_report(tmp_path / "report.json", replace(motion, report=blind))
-    assert report["confidence"]["left"] == {"count": 0, "mean": None, "p5": None, "median": None}
+    nothing = {"count": 0, "mean": None, "median": None, "p95": None}
+    assert report["elbow_deviations_m"]["left"] == nothing
     assert report["statuses"] == {}
 
 

@@ -19,6 +19,7 @@ import pytest
 from small_recording import SAMPLES, write_small_recording
 
 from jaxmocap.body.motion import Motion
+from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
@@ -300,12 +301,18 @@ def test_interrupted_it_tells_what_is_done_and_goes_on_there(
 
 def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):
     report = tracked.report
-    errors, confidence = report.marker_errors.copy(), np.full((SAMPLES, 2), np.nan)
-    errors[3, 1], confidence[4:7] = np.nan, [[0.2, 0.5], [0.3, 0.6], [0.9, 0.7]]
+    errors, deviations = report.marker_errors.copy(), np.full_like(report.landmarks_std, np.nan)
+    errors[3, 1], deviations[4:7] = np.nan, 0.0
+    deviations[4:7, ELBOWS, 0] = [[0.2, 0.5], [0.3, 0.6], [0.9, 0.7]]
     # Frames of which only some fall on a sample.
     spent = report.milliseconds | {"observe": np.ones(5), "frame": np.array([2.0, 4.0, 9.0])}
+    settings = report.settings | {"video_frames": 3, "seconds": {"first pass": 0.012}}
     changed_report = replace(
-        report, marker_errors=errors, confidence=confidence, milliseconds=spent
+        report,
+        marker_errors=errors,
+        landmarks_std=deviations,
+        milliseconds=spent,
+        settings=settings,
     )
     job = Job("a/b.toml", tmp_path / "a/b.toml", tmp_path / "out/a/b", MARKERS_ONLY)
     row = row_of(job, replace(tracked, report=changed_report), 1.5)
@@ -314,11 +321,11 @@ def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):
     )
     assert row == expected
     unseen = row_of(job, tracked, 1.5)
-    assert unseen.confidence_left is unseen.confidence_right is None and unseen.missing == 0
+    assert unseen.deviation_left_m is unseen.deviation_right_m is None and unseen.missing == 0
     corpus.write_rows(tmp_path / "corpus.csv", [unseen, row])
     first, second = table(tmp_path)
-    assert list(first) == list(asdict(row)) and first["confidence_left"] == ""
-    assert second["confidence_left"] == "0.3" and int(second["frames"]) == SAMPLES
+    assert list(first) == list(asdict(row)) and first["deviation_left_m"] == ""
+    assert second["deviation_left_m"] == "0.3" and int(second["frames"]) == SAMPLES
 
 
 # What counts as done -----------------------------------------------------------------------------

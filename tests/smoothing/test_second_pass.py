@@ -349,7 +349,6 @@ def test_steps_have_deviations_of_the_elbows_only():
     actual = unsmoothed(first._replace(reports=reports))
     assert actual.deviations is not None and actual.from_prior is not None
     np.testing.assert_allclose(np.linalg.norm(actual.deviations[:, ELBOWS], axis=-1), spread)
-    assert reports.confidence[1, 0] == pytest.approx(0.5)
     others = np.delete(actual.deviations, ELBOWS, axis=1)
     assert np.isnan(others).all() and np.isnan(actual.from_prior).all()
 
@@ -383,11 +382,11 @@ def test_a_recording_is_smoothed_to_better_elbows_than_the_markers_alone(both_pa
     assert np.isin(tracked.motion.report.from_prior, [0, 1]).all()
 
 
-def test_the_report_has_errors_swivels_and_confidence_of_every_event(both_passes):
+def test_the_report_has_errors_swivels_and_deviations_of_every_event(both_passes):
     report, events = both_passes[0].motion.report, len(TIMES)
     assert report.marker_errors.shape == (events, len(PLACES)) and report.marker_errors.max() < 0.03
-    assert report.swivels.shape == report.confidence.shape == (events, 2)
-    assert ((report.confidence > 0) & (report.confidence < 1)).all()
+    assert report.swivels.shape == report.elbow_deviations.shape == (events, 2)
+    assert (report.elbow_deviations > 0).all()
 
 
 def test_the_report_has_the_turn_of_the_camera(both_passes):

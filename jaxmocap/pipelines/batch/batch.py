@@ -251,8 +251,8 @@ def row_of(job: Job, motion: Motion, took_s: float) -> CorpusRow:
     assert report is not None
     # Frames need not fall on a sample to have been observed.
     is_observed = "observe" in report.milliseconds
-    confidence = report.confidence if is_observed else np.full((1, 2), np.nan)
-    finite = confidence[np.isfinite(confidence).all(1)]
+    deviations = report.elbow_deviations if is_observed else np.full((1, 2), np.nan)
+    finite = deviations[np.isfinite(deviations).all(1)]
     left, right = np.median(finite, axis=0) if len(finite) else (np.nan, np.nan)
     return CorpusRow(
         recording=job.name,
@@ -260,8 +260,8 @@ def row_of(job: Job, motion: Motion, took_s: float) -> CorpusRow:
         seconds=round(float(motion.times[-1] - motion.times[0]), 6),
         ms_per_frame=_figure(1e3 / frames_per_second(report)),
         took_s=round(took_s, 3),
-        confidence_left=_figure(left),
-        confidence_right=_figure(right),
+        deviation_left_m=_figure(left),
+        deviation_right_m=_figure(right),
         missing=round(float(np.isnan(report.marker_errors).mean()), 6),
         outputs=Path(job.name).with_suffix("").as_posix(),
     )

@@ -34,10 +34,10 @@ class CorpusRow:
         recording: its path within the corpus.
         frames: marker samples.
         seconds: from the first sample to the last.
-        ms_per_frame: median of all stages together, once compiled.
+        ms_per_frame: tracking by the video's frames (samples without video), milliseconds.
         took_s: from reading its file to the last output.
-        confidence_left: median, of the left elbow; None without video.
-        confidence_right: of the right elbow.
+        deviation_left_m: median standard deviation of the left elbow, metres; None without video.
+        deviation_right_m: of the right elbow.
         missing: share of the markers' positions.
         outputs: their folder, within the folder of the batch.
     """
@@ -47,8 +47,8 @@ class CorpusRow:
     seconds: float
     ms_per_frame: float | None
     took_s: float
-    confidence_left: float | None
-    confidence_right: float | None
+    deviation_left_m: float | None
+    deviation_right_m: float | None
     missing: float
     outputs: str
 

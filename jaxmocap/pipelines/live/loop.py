@@ -122,7 +122,7 @@ class Live:
         self._trackers = Trackers(self._vmc.body, setup.trackers) if setup.vrchat else None
         self.tracking = LiveTracking(setup, settings, smooth)
         ending.callback(self.tracking.close)
-        self._confidence, self._newest_sample = np.zeros(2), -np.inf
+        self._deviations, self._newest_sample = np.full(2, np.nan), -np.inf
         self._last_heartbeat, self._ended, self._frames_shown = 0.0, 0.0, {}
 
     @property
@@ -204,7 +204,7 @@ class Live:
             self._to_vrchat.send(self._trackers.frame(joints))
         now = self._now()
         self.status.count_output(now, now - output.arrived)
-        self._confidence = output.confidence
+        self._deviations = output.deviations
         if self._viewer is not None:
             self._viewer(output, self._frames_shown)
             self._frames_shown = {}
@@ -224,7 +224,7 @@ class Live:
             now,
             {name: None if at is None else now - at for name, at in received_at.items()},
             self._dropped(),
-            self._confidence,
+            self._deviations,
         )
 
     def _dropped(self) -> dict[str, int]:

@@ -105,7 +105,7 @@ def _viewer(
         images = {name: frame.image for name, frame in frames.items()}
         latency = 1e3 * status.newest_latency
         time = monotonic() - began
-        live_view.show(LiveSnapshot(time, output.pose, output.confidence, latency, images))
+        live_view.show(LiveSnapshot(time, output.pose, output.deviations, latency, images))
 
     return show
 

@@ -132,7 +132,7 @@ class LiveStatus:
         now: float,
         ages: Mapping[str, float | None],
         dropped: Mapping[str, int],
-        confidence: np.ndarray,
+        deviations: np.ndarray,
     ) -> None:
         """Print the status line, if it is due.
 
@@ -140,7 +140,7 @@ class LiveStatus:
             now: seconds.
             ages: stream -> seconds since it last received something, None before that.
             dropped: kind -> number of dropped ones.
-            confidence: (2,) in the elbows.
+            deviations: (2,) standard deviations of the elbows, metres; NaN where unknown.
         """
         if now < self._next_line_at:
             return
@@ -151,7 +151,7 @@ class LiveStatus:
             f"latency {median:.1f} ms, 99 % {most:.1f} ms",
             "dropped " + ", ".join(f"{count} {what}" for what, count in dropped.items()),
             "age " + ", ".join(f"{short_name(name)} {_age(age)}" for name, age in ages.items()),
-            "elbows " + " ".join(f"{100 * value:.0f} %" for value in confidence),
+            "elbows " + " ".join(map(_plus_minus, deviations)),
         ]
         end = "" if self._is_terminal else "\n"
         self._print(f"{self._clear()}{' | '.join(shown)}{end}")
@@ -175,6 +175,10 @@ class LiveStatus:
             "warnings": [message._asdict() for message in self.messages],
             "sentences": self.message_count,
         }
+
+
+def _plus_minus(deviation: float) -> str:
+    return f"± {100 * deviation:.0f} cm" if np.isfinite(deviation) else "by markers alone"
 
 
 def _age(age: float | None) -> str:

@@ -29,7 +29,6 @@ from jaxmocap.capture.streams.recent_markers import RecentMarkers
 from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import bone_points
-from jaxmocap.hybrid.elbow_search import confidence_of
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker, State
@@ -47,13 +46,13 @@ class Output(NamedTuple):
     Attributes:
         time: of its sample, seconds.
         pose: of the person.
-        confidence: (2,) in the elbows, 0 to 1.
+        deviations: (2,) standard deviations of the elbows, metres; NaN where unknown.
         arrived: when its sample was received, seconds on the same clock.
     """
 
     time: float
     pose: Pose
-    confidence: np.ndarray
+    deviations: np.ndarray
     arrived: float
 
 
@@ -182,11 +181,11 @@ class LiveTracking:
             self._state = self.tracker.init(sample.positions_world)
         if not self.is_ready:
             pose, _ = self._taken(self.tracker.solve(self._state, self._with_gaps_filled(sample)))
-            return [Output(sample.time, pose, np.zeros(2), sample.arrived)]
+            return [Output(sample.time, pose, np.full(2, np.nan), sample.arrived)]
         if self._smoother is not None:
             return self._in_order([sample])
         pose, report = self._step(sample.time, self._with_gaps_filled(sample), None)
-        return [Output(sample.time, pose, np.asarray(report.confidence), sample.arrived)]
+        return [Output(sample.time, pose, np.asarray(report.elbow_deviations), sample.arrived)]
 
     def frames(self, frames: Sequence[LiveFrame]) -> list[Output]:
         """Take frames, the newest of their cameras; the poses to be sent now."""
@@ -273,6 +272,5 @@ class LiveTracking:
             arrived = self._arrivals.popleft()[1]
             if arrived is not None:
                 spread = np.sqrt(np.sum(each.deviations[ELBOWS] ** 2, -1))
-                confidence = np.asarray(confidence_of(spread))
-                outputs.append(Output(each.time, each.pose, confidence, arrived))
+                outputs.append(Output(each.time, each.pose, spread, arrived))
         return outputs

@@ -78,7 +78,7 @@ class SilhouetteDemo:
 
     @property
     def frames_per_second(self) -> float:
-        """Once compiled; NaN if nothing was timed."""
+        """Of all passes together, compilation included; NaN if nothing was timed."""
         report = self.motion.report
         return float("nan") if report is None else frames_per_second(report)
 
@@ -90,7 +90,7 @@ class SilhouetteDemo:
             f"{name} {f'{bent[name]:.1f} -> ' if bent else ''}{off:.1f}"
             for name, off in self.bend_errors_deg.items()
         )
-        rate = f"{self.frames_per_second:.1f} frames per second of all cameras, once compiled"
+        rate = f"{self.frames_per_second:.1f} frames of all cameras a second, compilation included"
         with_model = "without -> with the person's own model\n\n" if bent else ""
         return f"{with_model}{table}\n\nbent, degrees off: {bends}\n{rate}"
 

@@ -6,6 +6,7 @@ INPUTS: a Recording, where the person is at first. OUTPUTS: a Motion, and the le
 """
 
 from collections.abc import Iterator, Sequence
+from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from jaxmocap.body.model import Model, marker_sites
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, with_joints
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.surfaces.parts import determined_landmarks, moved_bones
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
@@ -24,7 +25,6 @@ from jaxmocap.capture.timeline import bundle_frames
 from jaxmocap.capture.video import FrameSource, check_video_size, open_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.hybrid.elbow_search import confidence_of
 from jaxmocap.images.background_model import Background
 from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
@@ -159,7 +159,8 @@ def track_silhouettes(
     tracker = make_silhouette_tracker(recording, settings, markers, surface)
     footage, warnings = _open(recording, tracker.body.model if markers else None)
     how = PassSettings(passes, 1.0 if surface is None else PHOTOGRAPHED_SHARE, lengths)
-    with progress_bar("tracking", progress) as show:
+    began, label = perf_counter(), f"tracking, {passes} pass{'es' * (passes > 1)}"
+    with progress_bar(label, progress, "compiling") as show:
         result = run_passes(
             tracker, start, footage.bundles, len(footage.times), how,
             pictured_backgrounds(recording), show,
@@ -175,8 +176,11 @@ def track_silhouettes(
         "warnings": (*warnings, *_at_rest(tracker.body.model.skeleton)),
         "tracker": constants.settings,
     }
-    report = _report(result, constants, names, plain(described))
+    tracked = perf_counter()
     shape, poses = result.body.shape, result.smoothed(constants)
+    spent = {"passes": tracked - began, "smoothing": perf_counter() - tracked}
+    described |= {"video_frames": len(footage.times), "seconds": spent}
+    report = _report(result, constants, names, plain(described))
     motion = Motion(shape.skeleton, footage.times, poses, report, recording.origin_world)
     return SilhouetteResult(motion, _masks(result, names), shape.surface)
 
@@ -223,14 +227,12 @@ def _report(
     count = len(result.times)
     none = np.full((count, 2), np.nan)
     deviations = result.landmark_deviations(constants)
-    spread = np.sqrt(np.sum(deviations[:, ELBOWS] ** 2, -1))
-    confidence = np.asarray(confidence_of(spread))
     unknown = np.full((count, len(LANDMARKS)), np.nan)
     joints = result.body.shape.skeleton.tree.joints
     statuses = tuple(_warnings(report, names, joints) for report in result.reports)
     milliseconds = {"frame": np.array(result.milliseconds)}
     return Report(
-        (), np.zeros((count, 0)), none, none, confidence, deviations, unknown, statuses,
+        (), np.zeros((count, 0)), none, none, deviations, unknown, statuses,
         milliseconds, settings,
     )  # fmt: skip
 

@@ -4,6 +4,7 @@ INPUTS: RecordingEvents, FirstPass, a Trajectory. OUTPUTS: Motions.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -19,7 +20,6 @@ from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.compilation.batches import in_batches
-from jaxmocap.hybrid.elbow_search import confidence_of
 from jaxmocap.pipelines.tracking import warnings
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.smoothing.fixed_lag import SmoothedPose
@@ -86,10 +86,12 @@ def motions(
     report = Report(
         markers=events.recording.marker_names,
         **columns,
-        statuses=_warnings(events, first_pass, columns["confidence"]),
+        statuses=(),
         milliseconds={stage: np.array(times) for stage, times in milliseconds.items()},
         settings=settings,
     )
+    listed = _warnings(events, first_pass, report.elbow_deviations)
+    report = replace(report, statuses=listed)
     alone = _motion(events, model.skeleton, first_pass.reports.marker_pose)
     return Tracked(_motion(events, person, trajectory.poses, report), alone)
 
@@ -114,25 +116,23 @@ def _columns(
     """Of the report, field -> (E, ...) of the events."""
     assert trajectory.deviations is not None and trajectory.from_prior is not None
     errors, turns = _errors_and_swivels(model, person, first_pass, trajectory.poses)
-    spread = np.sqrt(np.sum(trajectory.deviations[:, ELBOWS] ** 2, -1))
     return {
         "marker_errors": errors,
         "arm_costs": first_pass.reports.outline_px,
         "swivels": turns,
-        "confidence": confidence_of(spread),
         "landmarks_std": trajectory.deviations,
         "from_prior": trajectory.from_prior,
     }
 
 
 def _warnings(
-    events: RecordingEvents, first_pass: FirstPass, confidence: np.ndarray
+    events: RecordingEvents, first_pass: FirstPass, elbow_deviations: np.ndarray
 ) -> tuple[tuple[str, ...], ...]:
-    """Of each sample, by the (T, 2) confidence in its elbows too."""
+    """Of each sample, by its elbows' deviations (T, 2), metres, too."""
     before = (("no marker has been measured yet",),) * events.before
     listed = list(events.sample_warnings(first_pass.warnings))
     if events.without_video:
-        unsure = map(warnings.of_confidence, confidence[len(before) :])
+        unsure = map(warnings.of_elbows, elbow_deviations[len(before) :])
         listed = [(*own, *more) for own, more in zip(listed, unsure, strict=True)]
     return before + tuple(listed)
 

@@ -12,6 +12,7 @@ INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its R
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from time import perf_counter
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -87,7 +88,7 @@ def track_both(
     tracker: HybridTracker | None = None,
 ) -> Tracked:
     """Track a recording and keep the markers' own poses as well; see ``track``."""
-    clock, causal = Clock(), mode == "causal"
+    clock, causal, began = Clock(), mode == "causal", perf_counter()
     opened = open_recording(recording, mode)
     tracker = tracker or make_tracker(opened.recording, settings)
     used = opened.videos if tracker.model.camera_count else []
@@ -97,18 +98,18 @@ def track_both(
     if smooth and causal:
         smoother = FixedLagSmoother(tracker.model, tracker.settings.smoothing)
     in_colour = forward_readers(used, colour=smoother is not None)
-    with progress_bar("tracking", progress) as show, in_colour as readers:
+    with progress_bar("tracking", progress, "compiling") as show, in_colour as readers:
         # What is smoothed starts from where the search has the elbows.
         stepping = tracker.by_search() if smooth else tracker
         if causal:
             first, final = stepped(events, stepping, readers, smoother, show, clock)
         else:
             first, final = scanned(events, stepping, readers, show, clock), []
-    trajectory = gathered(final) if smoother else None
+    trajectory, passed = gathered(final) if smoother else None, perf_counter()
     if smooth:
         opened = opened._replace(warnings=(*opened.warnings, *_without_part(tracker.settings)))
     if smooth and not causal:
-        with progress_bar("smoothing", progress) as show:
+        with progress_bar("smoothing", progress, "compiling") as show:
             trajectory = clock.timed(
                 "smooth", _smoothed, opened, events, tracker, first,
                 lambda share: show(round(100 * share), 100),
@@ -116,6 +117,8 @@ def track_both(
     figures = _run_figures(recording, mode, opened, tracker.settings) | {
         "camera_turns_deg": _turns_deg(recording, trajectory),
         "latency": {"video frames": DELAY_FRAMES, "seconds": DELAY_S} if smoother else {},
+        "video_frames": int((events.timeline.frame_index >= 0).any(-1).sum()) if used else 0,
+        "seconds": {"first pass": passed - began, "second pass": perf_counter() - passed},
     }
     ended = trajectory or unsmoothed(first)
     return motions(tracker.model, events, first, ended, clock.milliseconds, plain(figures))

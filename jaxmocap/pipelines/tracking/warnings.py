@@ -14,8 +14,8 @@ from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.solvers.status import SENTENCES, Status
 
 SIDES = ("left", "right")
-# Below it an elbow is little more than the markers' guess.
-LOW_CONFIDENCE = 0.2
+# With a larger standard deviation an elbow is little more than the markers' guess, metres.
+UNSURE_M = 0.1
 # An image whose brightness varies by less (of 255) shows nothing.
 BLANK_RANGE = 12
 # A frame further away than this many of its video's intervals is not near.
@@ -50,11 +50,11 @@ def of_images(
             yield f"{name}: the video frame is black or blank"
 
 
-def of_confidence(confidence: np.ndarray) -> Iterator[str]:
-    """Which of the two elbows the video leaves open."""
-    for side, value in zip(SIDES, confidence, strict=True):
-        if value < LOW_CONFIDENCE:
-            yield f"{side} elbow: low confidence"
+def of_elbows(deviations: np.ndarray) -> Iterator[str]:
+    """Which of the two elbows the video leaves open, by their deviations (2,), metres."""
+    for side, value in zip(SIDES, deviations, strict=True):
+        if value > UNSURE_M:
+            yield f"{side} elbow: uncertain by more than {100 * UNSURE_M:.0f} cm"
 
 
 def without_video(times: np.ndarray, video_times: np.ndarray, causal: bool = False) -> np.ndarray:
