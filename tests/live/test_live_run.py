@@ -22,7 +22,7 @@ from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.capture.streams import cameras
 from jaxmocap.capture.streams.cameras import LiveCamera
 from jaxmocap.capture.streams.inbox import LiveFrame
-from jaxmocap.capture.streams.sample_assembly import MarkerSample
+from jaxmocap.capture.streams.sample_assembly import MarkerMeasurements, MarkerSample
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.files.errors import InputError
@@ -188,6 +188,24 @@ def test_what_was_recorded_live_is_read_like_any_recording(tmp_path):
         assert image is not None and np.abs(image.astype(float) - expected).mean() < 12
     with pytest.raises(InputError, match=r"holds markers\.csv, recording\.toml.* already"):
         LiveRecording(setup, tmp_path / "out")
+
+
+@pytest.mark.parametrize("stream", [None, "mocap"])
+def test_orientations_of_either_source_are_recorded(tmp_path, stream):
+    setup = small_setup(tmp_path)
+    turned = replace(setup.places[0], offset_in="marker", offset=(0.0, 0.1, 0.0))
+    setup = replace(setup, places=(turned, *setup.places[1:]), lsl=stream)
+    recording = LiveRecording(setup, tmp_path / "out")
+    positions = small_recording().positions_world
+    # A quarter turn about the vertical: the marker's y is the world's -x.
+    R = np.tile([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], (len(positions[0]), 1, 1))
+    for time_s, points in zip(small_recording().times, positions, strict=True):
+        measured = MarkerMeasurements(points, R)
+        recording.add(MarkerSample(time_s, points, time_s, measured))
+    again = Recording.load(recording.close())
+    assert again.places[0].name == turned.name
+    moved = again.positions_world[:, 0] - positions[:, 0]
+    np.testing.assert_allclose(moved, np.tile([0.1, 0, 0], (len(moved), 1)), atol=1e-5)
 
 
 def test_a_run_without_a_sample_leaves_no_recording_to_track(tmp_path):

@@ -142,7 +142,7 @@ class LiveRecording:
         return [(MARKERS_FILE, self._lines.close), *videos_on_disk]
 
     def _header(self) -> str:
-        parts = (*"xyz", "qw", "qx", "qy", "qz") if self._setup.lsl is None else "xyz"
+        parts = (*"xyz", "qw", "qx", "qy", "qz")
         columns = [f"{name}.{part}" for name in self._setup.marker_names for part in parts]
         text = io.StringIO()
         csv.writer(text, lineterminator="").writerow(["time", *columns])
@@ -185,12 +185,9 @@ class LiveRecording:
     def _add_sample(self, sample: MarkerSample) -> None:
         measurements = sample.measurements
         columns = sample.positions_world if measurements is None else measurements.positions_world
-        if self._setup.lsl is None:
-            missing = np.full((len(columns), 4), np.nan)
-            turns = (
-                missing if measurements is None else quaternions(measurements.orientations_world)
-            )
-            columns = np.hstack([columns, turns])
+        missing = np.full((len(columns), 4), np.nan)
+        turns = missing if measurements is None else quaternions(measurements.orientations_world)
+        columns = np.hstack([columns, turns])
         self._lines.add(",".join([f"{sample.time:.9f}", *format_rows(columns).ravel()]))
 
     def _add_frame(self, frame: LiveFrame) -> None:
