@@ -34,7 +34,7 @@ def intrinsics_text(result: IntrinsicsResult) -> str:
         "",
         f"coverage: {100 * result.coverage.share:.0f} % of the image",
         *(f"warning: {sentence}" for sentence in result.warnings),
-        *(f"written: {path}" for path in result.files),
+        *(f"written  {path}" for path in result.files),
     ]
     return "\n".join(lines)
 
@@ -119,7 +119,7 @@ def extrinsics_text(result: ExtrinsicsResult) -> str:
             f"{placement.mirrored_ratio:.1f} times as badly"
         )
     lines += [f"warning: {sentence}" for sentence in result.warnings]
-    return "\n".join([*lines, *(f"written: {path}" for path in result.files)])
+    return "\n".join([*lines, *(f"written  {path}" for path in result.files)])
 
 
 def extrinsics_figures(result: ExtrinsicsResult) -> dict[str, Any]:

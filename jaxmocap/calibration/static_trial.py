@@ -73,7 +73,7 @@ class ScaledBody:
                 basis = f"measured, ± {1e3 * spread:.1f} mm over {frames} frames"
                 basis += ", split as in Table 1" if bone in (*TRUNK, *NECK_HEAD) else ""
             lines.append(f"{bone.ljust(11)} {float(length):.4f} m  {basis}")
-        return "\n".join([*lines, f"written: {self.path}"])
+        return "\n".join([*lines, f"written  {self.path}"])
 
     def figures(self) -> dict:
         """The same for programs."""
@@ -104,12 +104,16 @@ def scale_subject(
     """Write a body by either way, one of height and static trial given; see the two below."""
     if static is not None:
         if height is not None:
-            raise InputError(out, "--height and --static exclude each other")
+            raise InputError(static, "found --height beside --static, expected one of them")
         return scale_by_static(out, static, landmarks or {}, up or "z", mass, wrists)
     if landmarks or up:
-        raise InputError(out, "--landmarks and --up are about a static trial (--static)")
+        raise InputError(
+            "--landmarks, --up", "found without --static, the trial that they are about"
+        )
     if height is None:
-        raise InputError(out, "expected one of --height, --static, --recording")
+        raise InputError(
+            "the person", "found no source, expected --height, --static or --recording"
+        )
     return scale_by_height(out, height, mass, wrists)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass, match, second_difference
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.short_repr import comma_list
 from jaxmocap.formats.time_series.markers import default_up, read_markers
 from jaxmocap.formats.time_series.tables import Markers
 
@@ -166,7 +167,7 @@ def points_z_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
 def evaluate_directory(
     directory: str | Path,
     truth_path: str | Path,
-    pairs: Mapping[str, str],
+    pairs: Mapping[str, str] | None = None,
     up: str | None = None,
     offset: float = 0.0,
 ) -> Errors:
@@ -175,7 +176,8 @@ def evaluate_directory(
     Args:
         directory: what ``track --out`` was given.
         truth_path: the reference's file: markers, or a .bvh or .glb whose joints are compared.
-        pairs: joint name -> the name of its marker in the reference.
+        pairs: joint name -> the name of its marker in the reference; None for the joints whose
+            names are there as well.
         up: the reference's vertical axis, "z" or "y" (world = (z, x, y) of the file); None is "y"
             for .bvh and .glb, else "z".
         offset: seconds to add to the reference's times; a .bvh always begins at 0.
@@ -187,6 +189,12 @@ def evaluate_directory(
     path = Path(directory) / "joints.trc"
     tracked, truth = read_markers(path), read_markers(truth_path)
     truth_world = points_z_up(truth, up or default_up(truth_path))
+    if pairs is None:
+        pairs = {name: name for name in tracked.names if name in truth.names}
+        if not pairs:
+            found, ours = comma_list(truth.names), comma_list(tracked.names)
+            problem = f"no joint of the same name; state --match: found {found}, ours are {ours}"
+            raise InputError(truth_path, problem)
     return position_errors(
         tracked.times,
         tracked.points(),

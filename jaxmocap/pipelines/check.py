@@ -56,9 +56,14 @@ class RecordingCheck:
             f"{figures['start_s']:.2f} to {figures['end_s']:.2f} s",
             *map(_view_line, self.views),
             *(f"warning  {sentence}" for sentence in self.warnings),
-            *(f"{'error' if f.fatal else 'warning':7}  {f.sentence}" for f in self.findings),
+            # The first error ends the command, with its sentence.
+            *(f"{'error' if f.fatal else 'warning':7}  {f.sentence}" for f in self._others()),
         ]
         return "\n".join(lines if self.findings else [*lines, "nothing wrong was found"])
+
+    def _others(self) -> list[Finding]:
+        """The findings but for a first one that is fatal."""
+        return self.findings[bool(self.findings and self.findings[0].fatal) :]
 
     def raise_if_fatal(self) -> None:
         """InputError with the first finding, if it is fatal."""

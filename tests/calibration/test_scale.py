@@ -125,9 +125,9 @@ def test_the_command_refuses_in_one_sentence(tmp_path, capsys):
     write_trc(tmp_path / "a.trc", np.zeros(1), {"Head": np.ones((1, 3))})
     out = ["--out", str(tmp_path / "b.toml")]
     for given, message in (
-        (["--height", "1.8", "--up", "y"], "--landmarks and --up are about a static trial"),
-        ([], "expected one of --height, --static, --recording"),
-        (["--height", "1.8", "--static", "a.trc"], "--height and --static exclude each other"),
+        (["--height", "1.8", "--up", "y"], "--landmarks, --up: found without --static"),
+        ([], "expected --height, --static or --recording"),
+        (["--height", "1.8", "--static", "a.trc"], "a.trc: found --height beside --static"),
         (["--recording", "a.toml", "--up", "y"], "do not go with --recording"),
         (["--height", "3"], "expected metres between 0.5 and 2.5"),
         (["--static", str(tmp_path / "none.trc")], "no such file"),

@@ -147,6 +147,18 @@ def test_a_reference_with_y_up_is_turned_into_the_world(tmp_path):
     assert turned.distances.min() > 0.1
 
 
+def test_without_pairs_joints_of_the_same_name_are_compared(tmp_path):
+    write_directory(tmp_path)
+    points = {"elbow_l": circle(TIMES) + [0, 0, 0.02], "Nose": circle(TIMES)}
+    write_trc(tmp_path / "truth.trc", TIMES, points)
+    errors = evaluate_directory(tmp_path, tmp_path / "truth.trc")
+    assert errors.joints == ("elbow_l",)
+    np.testing.assert_allclose(errors.distances, 0.02, atol=1e-5)
+    write_trc(tmp_path / "other.trc", TIMES, {"Nose": circle(TIMES)})
+    with pytest.raises(InputError, match=r"other\.trc: no joint of the same name; state --match"):
+        evaluate_directory(tmp_path, tmp_path / "other.trc")
+
+
 @pytest.mark.parametrize(
     ("pairs", "actual", "listed"),
     [

@@ -254,7 +254,7 @@ def test_the_command_converts_and_says_what_it_left_out(recordings, tmp_path, ca
     serve, out = recordings / "motions" / "tennis_serve.c3d", tmp_path / "serve.trc"
     assert main(["convert", str(serve), str(out)]) == 0
     message = capsys.readouterr().out
-    assert "left out: the labels' prefix Derrick:" in message and f"written: {out}" in message
+    assert "left out: the labels' prefix Derrick:" in message and f"written  {out}" in message
     there, back = read_markers(serve), read_markers(out)
     assert back.names == there.names
     np.testing.assert_allclose(back.positions, there.positions, atol=1e-6)

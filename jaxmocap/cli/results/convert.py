@@ -58,7 +58,7 @@ def _run(options: argparse.Namespace) -> None:
         options.names, options.unit, options.rate, options.body, options.angles
     )
     warnings = convert_file(options.source, options.target, conversion)
-    print_lines([*warnings, f"written: {options.target}"])
+    print_lines([*warnings, f"written  {options.target}"])
 
 
 COMMAND = Command(

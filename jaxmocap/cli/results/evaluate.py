@@ -18,8 +18,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         metavar="JOINT=MARKER",
         type=pair("JOINT=MARKER"),
         nargs="+",
-        required=True,
-        help="a joint and its marker in the reference",
+        help="a joint and its marker in the reference; without it the joints of the same name there",
     )
     parser.add_argument(
         "--up", choices=("y", "z"), help="the reference's vertical; default: y of .bvh .glb, else z"
@@ -37,9 +36,8 @@ def _run(options: argparse.Namespace) -> None:
     from jaxmocap.evaluation.errors import evaluate_directory
     from jaxmocap.evaluation.tables import format_table
 
-    errors = evaluate_directory(
-        options.directory, options.truth, dict(options.match), options.up, options.offset
-    )
+    pairs = None if options.match is None else dict(options.match)
+    errors = evaluate_directory(options.directory, options.truth, pairs, options.up, options.offset)
     report(options, format_table(errors), errors.as_dict())
 
 

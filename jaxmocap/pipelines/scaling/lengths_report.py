@@ -125,7 +125,7 @@ class LengthsReport:
     def text(self) -> str:
         """The same with height, mass and the files."""
         mass = float(self.skeleton.masses.sum())
-        written = [f"written: {self.path}", f"written: {self.picture}"]
+        written = [f"written  {self.path}", f"written  {self.picture}"]
         return "\n".join([f"{self.height:.3f} m, {mass:.1f} kg", *self.lines(), *written])
 
     def intervals(self) -> list[Interval]:

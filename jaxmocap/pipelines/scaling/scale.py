@@ -53,7 +53,7 @@ def write_body(out: str | Path, source: BodySource, progress: Progress | bool | 
         )
     if source.landmarks or source.up or source.wrists:
         problem = "--landmarks, --up and --wrists do not go with --recording, whose file says them"
-        raise InputError(out, problem)
+        raise InputError(source.recording, problem)
     # A recording takes what tracks, which height and static trial do without.
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.scaling.fit_lengths import scale_by_recording
