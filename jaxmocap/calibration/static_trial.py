@@ -107,13 +107,10 @@ def scale_subject(
             raise InputError(static, "found --height beside --static, expected one of them")
         return scale_by_static(out, static, landmarks or {}, up or "z", mass, wrists)
     if landmarks or up:
-        raise InputError(
-            "--landmarks, --up", "found without --static, the trial that they are about"
-        )
+        raise InputError("--landmarks, --up", "found without --static, whose trial they describe")
     if height is None:
-        raise InputError(
-            "the person", "found no source, expected --height, --static or --recording"
-        )
+        problem = "found no source, expected --height, --static or --recording"
+        raise InputError("the person", problem)
     return scale_by_height(out, height, mass, wrists)
 
 

@@ -149,7 +149,7 @@ def test_a_reference_with_y_up_is_turned_into_the_world(tmp_path):
 
 def test_without_pairs_joints_of_the_same_name_are_compared(tmp_path):
     write_directory(tmp_path)
-    points = {"elbow_l": circle(TIMES) + [0, 0, 0.02], "Nose": circle(TIMES)}
+    points = {"elbow_l": circle(TIMES) + np.array([0, 0, 0.02]), "Nose": circle(TIMES)}
     write_trc(tmp_path / "truth.trc", TIMES, points)
     errors = evaluate_directory(tmp_path, tmp_path / "truth.trc")
     assert errors.joints == ("elbow_l",)

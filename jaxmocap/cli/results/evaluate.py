@@ -18,7 +18,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         metavar="JOINT=MARKER",
         type=pair("JOINT=MARKER"),
         nargs="+",
-        help="a joint and its marker in the reference; without it the joints of the same name there",
+        help="a joint and its marker in the reference; default: joints of the same name in both",
     )
     parser.add_argument(
         "--up", choices=("y", "z"), help="the reference's vertical; default: y of .bvh .glb, else z"
