@@ -115,7 +115,7 @@ def synthetic_errors(group: str, results: list[Result]) -> Criterion:
 
 
 def behaviour(group: str, results: list[Result], causal: bool) -> list[Criterion]:
-    """Calm, lag, wrong turns and, where it is reported, confidence."""
+    """Calm, lag, wrong turns and, where they are reported, deviations."""
     calm = [result.calm.ratio for result in results]
     lags = [abs(result.lag_frames) for result in results]
     wrong = 100 * float(np.mean([result.wrong_share for result in results]))

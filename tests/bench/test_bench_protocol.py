@@ -173,7 +173,7 @@ class Moved:
 
 @dataclass
 class Deviations:
-    """What a report says of confidence."""
+    """What a report says of deviations."""
 
     landmarks_std: np.ndarray
     from_prior: np.ndarray = field(default_factory=lambda: np.zeros((90, len(LANDMARKS)), bool))

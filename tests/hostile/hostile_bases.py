@@ -225,7 +225,7 @@ def _report() -> Report:
     each, pair = np.full((POSES, len(PLACES)), 0.01), np.full((POSES, 2), 0.5)
     landmarks = np.full((POSES, len(LANDMARKS), 3), 0.02)
     return Report(
-        tuple(PLACES), each, pair, pair, pair, landmarks, landmarks[..., 0] * 0,
+        tuple(PLACES), each, pair, pair, landmarks, landmarks[..., 0] * 0,
         (("held",),) * POSES, {"solve": np.full(POSES, 0.5)}, {"refine": "none"},
     )  # fmt: skip
 
