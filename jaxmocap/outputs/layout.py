@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from jaxmocap.outputs.scene import BodyScene
 
 TIMELINE = "time"
-# Entity -> title of its view.
+# Entity -> title of its view; the first two are shown at once.
 SERIES = {
     "elbow_deviations": "Elbows [± cm]",
     "marker_errors": "Marker errors [mm]",
@@ -23,14 +23,20 @@ SERIES = {
 
 
 def lay_out(
-    cameras: Mapping[str, list[str]], scene: BodyScene, series: Mapping[str, str] = SERIES
+    cameras: Mapping[str, list[str]],
+    scene: BodyScene,
+    series: Mapping[str, str] = SERIES,
+    live: bool = False,
 ) -> rrb.Blueprint:
-    """Body to the left, all cameras and their fields to the right, all time series below.
+    """Body to the left, all cameras to the right, two time series below; the rest behind tabs.
+
+    A recording plays from its first frame, again and again; a live run is followed.
 
     Args:
         cameras: camera name -> names of its fields.
         scene: shown from the front left.
         series: entities of time series and titles of their views.
+        live: whether data still come.
     """
     body = rrb.Spatial3DView(origin="/world", name="Body", eye_controls=_eye(scene))
     top: list[rrb.View | rrb.Container] = [body]
@@ -41,22 +47,31 @@ def lay_out(
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(*top),
-            rrb.Horizontal(*curves[:-1], rrb.Tabs(curves[-1], statuses)),
+            rrb.Horizontal(*curves[:2], rrb.Tabs(statuses, *curves[2:]), column_shares=[3, 3, 2]),
             row_shares=[5, 2],
         ),
-        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
+        _time_panel(live),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
     )
 
 
+def _time_panel(live: bool) -> rrb.TimePanel:
+    if live:
+        return rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="following")
+    return rrb.TimePanel(
+        timeline=TIMELINE, state="collapsed", play_state="playing", loop_mode="all"
+    )
+
+
 def _camera_views(cameras: Mapping[str, list[str]]) -> rrb.Container:
-    """All cameras' images, and their fields below where there are any."""
+    """All cameras' images; behind a tab their fields, where there are any."""
     images = rrb.Grid(
         *(
             rrb.Spatial2DView(origin=entity_path("world", "cameras", name), name=name)
             for name in cameras
-        )
+        ),
+        name="Images",
     )
     fields = [
         rrb.Spatial2DView(origin=entity_path("fields", name, label), name=f"{name}: {label}")
@@ -65,10 +80,7 @@ def _camera_views(cameras: Mapping[str, list[str]]) -> rrb.Container:
     ]
     if not fields:
         return images
-    # Of several cameras one's fields are shown at a time, so that the images have room.
-    several = len(cameras) > 1
-    below = rrb.Tabs(*_by_camera(cameras, fields)) if several else rrb.Horizontal(*fields)
-    return rrb.Vertical(images, below, row_shares=[3 if several else 2, 1])
+    return rrb.Tabs(images, *_by_camera(cameras, fields))
 
 
 def _series_view(entity: str, title: str) -> rrb.TimeSeriesView:
@@ -82,10 +94,10 @@ def _series_view(entity: str, title: str) -> rrb.TimeSeriesView:
 def _by_camera(
     cameras: Mapping[str, list[str]], fields: list[rrb.Spatial2DView]
 ) -> list[rrb.Horizontal]:
-    """Each camera's fields side by side."""
+    """Each camera's fields side by side, a tab for each camera."""
     left = iter(fields)
     return [
-        rrb.Horizontal(*(next(left) for _ in labels), name=name)
+        rrb.Horizontal(*(next(left) for _ in labels), name=f"{name}: edges")
         for name, labels in cameras.items()
         if labels
     ]

@@ -67,7 +67,7 @@ class LiveView:
         self._stream = rr.RecordingStream("jaxmocap live")
         self._stream.connect_grpc(url)
         standing = self._scene(0.0, pose)
-        blueprint = layout.lay_out({name: [] for name in cameras}, standing, SERIES)
+        blueprint = layout.lay_out({name: [] for name in cameras}, standing, SERIES, live=True)
         self._stream.send_blueprint(blueprint)
         recorder.log_limbs(self._stream, skeleton)
         recorder.log_moment(self._stream, standing)

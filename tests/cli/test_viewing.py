@@ -46,11 +46,18 @@ def visible_views(part) -> set[str]:
 
 
 @pytest.mark.parametrize("cameras", [0, 1, 4])
-def test_body_cameras_and_curves_are_shown_without_a_click(cameras):
+def test_body_images_and_two_curves_are_shown_without_a_click(cameras):
     labels = {f"cam {i}": ["edges, left", "edges, right"] for i in range(cameras)}
     visible = visible_views(lay_out(labels, SCENE).root_container)
-    assert visible >= {"Body", *labels, *SERIES.values()}
-    assert len([name for name in visible if "edges" in name]) == min(2 * cameras, 2)
+    first = list(SERIES.values())[:2]
+    # What only debugging needs is behind a tab.
+    assert visible == {"Body", *labels, *first, "Statuses"}
+
+
+@pytest.mark.parametrize(("live", "state"), [(False, "Playing"), (True, "Following")])
+def test_a_recording_plays_from_its_start_and_a_live_run_is_followed(live, state):
+    panel = lay_out({}, SCENE, live=live).time_panel
+    assert state.lower() in str(panel.play_state).lower()
 
 
 @pytest.fixture
