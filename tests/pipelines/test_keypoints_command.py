@@ -1,5 +1,6 @@
 """``jaxmocap keypoints``: a detector's process, an ONNX model, what is written and refused."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -81,6 +82,29 @@ def test_a_process_detects_and_the_recording_uses_it(recording, environment, cap
     # Again: the line stays one line, the file is replaced.
     assert detect(recording, "--python", sys.executable, "--write") == 0
     assert recording.read_text("utf-8") == text
+
+
+def test_what_was_stated_of_other_key_points_is_stated_of_these(recording, environment):
+    environment()
+    (recording.parent / "old").mkdir()
+    more = 'camera = "cam"\nkeypoints = "old"\nkeypoints_model = "BODY_25"\nkeypoints_first = 7'
+    text = recording.read_text("utf-8").replace('camera = "cam"', more)
+    recording.write_text(text, encoding="utf-8")
+    assert detect(recording, "--python", sys.executable, "--write") == 0
+    source = Recording.load(recording).videos[0]
+    assert (source.keypoints_model, source.keypoints_first) == ("COCO_17", 0)
+    assert len(read_keypoints(source.keypoints, source.keypoints_model).numbers) == FRAMES
+
+
+def test_a_run_over_another_camera_leaves_the_first_ones_file(recording, environment):
+    environment()
+    assert detect(recording, "--python", sys.executable) == 0
+    for name in ("recording.toml", "calibration.toml"):
+        path = recording.parent / name
+        path.write_text(re.sub(r"\bcam\b(?!\.mp4)", "other", path.read_text("utf-8")))
+    assert detect(recording, "--python", sys.executable) == 0
+    found = {path.name for path in (recording.parent / "keypoints").glob("*.json")}
+    assert found == {"cam.json", "other.json", "outputs.json"}
 
 
 def test_without_write_the_file_stays_and_the_line_is_printed(recording, environment, capsys):

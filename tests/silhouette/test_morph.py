@@ -134,11 +134,11 @@ def test_a_solve_finds_the_pose_that_moved_the_skin_along():
     truth, start = (LOW + share * (HIGH - LOW) for share in (rng.uniform(0.3, 0.7, len(LOW)), 0.5))
     truth = start + 0.15 * np.clip(truth - start, -1, 1)
     still = jnp.zeros(6 + len(LOW))
-    seen = moved_by(BODY, MORPH, points, MOVES[ROWS], on_floor(truth), still)
+    measured = moved_by(BODY, MORPH, points, MOVES[ROWS], on_floor(truth), still)
     # Two cameras' rays through each point: one of them cannot tell how far it is.
     eyes = np.repeat([[4.0, 0.3, 0.2], [0.5, 4.0, 0.4]], len(ROWS), 0)
     twice = BodyPoints(*(np.tile(part, (2,) + (1,) * (part.ndim - 1)) for part in points))
-    ways = np.tile(seen, (2, 1)) - eyes
+    ways = np.tile(measured, (2, 1)) - eyes
     lines = lines_through(jnp.asarray(eyes), jnp.asarray(unit(ways)))
     rays = on_rays(twice, lines)._replace(moves=np.tile(MOVES[ROWS], (2, 1, 1)))
     how = PoseSettings(deviation=0.1, iterations=40)
@@ -146,7 +146,7 @@ def test_a_solve_finds_the_pose_that_moved_the_skin_along():
     found = jax.jit(solve_pose)(BODY, first, rays, how, morph=MORPH)
     free = m.without_followers(MORPH, found.pose)
     there = moved_by(BODY, MORPH, points, MOVES[ROWS], free, still)
-    np.testing.assert_allclose(there, seen, atol=1e-3)
+    np.testing.assert_allclose(there, measured, atol=1e-3)
     assert np.abs(np.asarray(first.angles) - np.asarray(found.pose.angles)).max() > 0.05
 
 

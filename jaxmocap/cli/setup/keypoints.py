@@ -45,7 +45,7 @@ def _run(options: argparse.Namespace) -> int:
     results = detect_keypoints(recording, detector, folder, progress=True)
     entries = keypoint_entries(results, path)
     if options.write and entries:
-        put_into(path, entries)
+        put_into(path, entries, detector.model)
     text = []
     for result in results:
         text.append(f"{result.camera}: found in {result.found} of {result.frames} frames")

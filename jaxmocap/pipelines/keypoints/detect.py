@@ -9,6 +9,7 @@ video; lines for the recording's file.
 import json
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -87,7 +88,10 @@ def detect_keypoints(
     """
     if not recording.videos:
         raise InputError(recording.path or recording.name, "found no [[video]], expected one")
-    out = OutputFolder(folder, "keypoints", [f"{v.camera_name}.json" for v in recording.videos])
+    cameras = [source.camera_name for source in recording.videos]
+    # Runs over other cameras leave one another's files alone.
+    kind = f"keypoints of {', '.join(sorted(cameras))}"
+    out = OutputFolder(folder, kind, [f"{name}.json" for name in cameras])
     videos = [open_video(source) for source in recording.videos]
     boxes = [
         _boxes(recording, source.camera, video)
@@ -118,7 +122,8 @@ def _boxes(recording: Recording, camera: Camera, video: FrameSource) -> np.ndarr
     boxes = np.tile(whole, (len(video), 1))
     if not recording.places:
         return boxes
-    motion = track(recording, Settings(refine="none"))
+    # By markers alone: whatever key points there were before are not read.
+    motion = track(replace(recording, videos=()), Settings(refine="none"))
     points = np.stack([motion.joints()[name] for name in LANDMARKS], 1)
     nearest = np.abs(motion.times - video.times[:, None]).argmin(1)
     there = jnp.asarray(points[nearest])
@@ -129,8 +134,8 @@ def _boxes(recording: Recording, camera: Camera, video: FrameSource) -> np.ndarr
     low, high = pixels.min(1), pixels.max(1)
     wider = MARGIN * (high - low).max(1, keepdims=True)
     around = np.clip(np.hstack([low - wider, high + wider]), 0, np.tile([width, height], 2))
-    seen = visible & (around[:, 2:] - around[:, :2] > 1).all(1)
-    boxes[seen] = around[seen]
+    in_image = visible & (around[:, 2:] - around[:, :2] > 1).all(1)
+    boxes[in_image] = around[in_image]
     return boxes
 
 
@@ -161,17 +166,21 @@ def keypoint_entries(results: list[DetectedVideo], recording: Path) -> dict[str,
     return entries
 
 
-def put_into(recording: Path, entries: dict[str, str]) -> None:
+def put_into(recording: Path, entries: dict[str, str], model: str) -> None:
     """Write them into the recording's file; comments and all other keys stay.
+
+    Where a video states whose points its key points are, or their first number, that changes too.
 
     Raises:
         InputError: its videos are not written as tables of their own.
         OutputError: the file cannot be written.
     """
 
-    def keypoints(video: Mapping[str, Any]) -> dict[str, str]:
+    def keypoints(video: Mapping[str, Any]) -> dict[str, Any]:
         entry = entries.get(video.get("camera", ""))
-        return {} if entry is None else {"keypoints": entry}
+        stated = {"keypoints_model": model, "keypoints_first": 0}
+        kept = {key: value for key, value in stated.items() if key in video}
+        return {} if entry is None else {"keypoints": entry, **kept}
 
     try:
         text = replace_entries_of_each(recording.read_text("utf-8"), "video", keypoints)
