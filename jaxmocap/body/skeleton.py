@@ -225,7 +225,7 @@ def with_wrists(skeleton: Skeleton) -> Skeleton:
     Three points determine none of these seven: they are for markers with an orientation.
     """
     rows, dtype = joint_rows("wrists.toml"), skeleton.axes.dtype
-    if rows[0]["name"] in skeleton.tree.joints:
+    if has_wrists(skeleton):
         return skeleton
     return replace(
         skeleton,
@@ -235,6 +235,11 @@ def with_wrists(skeleton: Skeleton) -> Skeleton:
             for key, column in joint_columns(rows).items()
         },
     )
+
+
+def has_wrists(skeleton: Skeleton) -> bool:
+    """Whether it has the joints that ``with_wrists`` adds."""
+    return joint_rows("wrists.toml")[0]["name"] in skeleton.tree.joints
 
 
 def _column(rows: list[dict], key: str, scale: float = 1.0) -> Array:

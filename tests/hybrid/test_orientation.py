@@ -21,18 +21,23 @@ from jaxmocap.body.model import marker_sites
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.orientations import body_turns, quaternions
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton, with_wrists
-from jaxmocap.capture.streams.osc import parse_packet
-from jaxmocap.capture.streams.sample_assembly import SampleAssembler
+from jaxmocap.body.skeleton import Skeleton, has_wrists, with_wrists
+from jaxmocap.capture.streams.osc import MarkerMessage, parse_packet
+from jaxmocap.capture.streams.sample_assembly import (
+    MarkerMeasurements,
+    MarkerSample,
+    SampleAssembler,
+)
 from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import load_motion, save_motion
-from jaxmocap.formats.recordings.live import R_WORLD_UNITY, load_live
+from jaxmocap.formats.recordings.live import R_WORLD_UNITY, LiveSetup, load_live
 from jaxmocap.formats.recordings.marker_places import MarkerPlace, bone_point_positions, bone_points
 from jaxmocap.formats.recordings.recording import load_markers, write_recording
 from jaxmocap.formats.time_series.csv import read_csv, write_csv
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
 from jaxmocap.pipelines.live.recording import LiveRecording
+from jaxmocap.pipelines.live.stream_states import _orientation_states
 from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.synthetic.movements import motions
 
@@ -285,6 +290,64 @@ def test_devices_over_osc_send_orientations_that_are_recorded(tmp_path):
     np.testing.assert_allclose(measured.positions, at, atol=1e-6)
     assert measured.orientations is not None
     np.testing.assert_allclose(measured.orientations, R, atol=3e-6)
+
+
+def live_setup(folder: Path, text: str) -> LiveSetup:
+    (folder / "live.toml").write_text(text)
+    return load_live(folder / "live.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "oriented"),
+    [
+        ("[markers.on]\nHmd = { bone = 'head' }\n", True),
+        ("[markers.on]\nhead = { bone = 'head' }\n", True),
+        ("[markers.on]\nA = { bone = 'head' }\n[osc.names]\nHmd = 'A'\n", True),
+        ("[markers.on]\nHmd = { bone = 'head', turn = false }\n", False),
+        ("[markers.on]\nHmd = { bone = 'hand_l' }\n", False),
+        ("[markers.on]\nCap = { bone = 'head' }\n", False),
+        ("[markers.on]\nHmd = { bone = 'head' }\n[lsl]\nstream = 'a'\n", False),
+    ],
+)
+def test_a_headsets_orientation_is_used_by_default_with_a_neck_that_turns(tmp_path, text, oriented):
+    setup = live_setup(tmp_path, text)
+    assert setup.places[0].orientation == ((1.0, 0.0, 0.0, 0.0) if oriented else None)
+    assert has_wrists(setup.skeleton) == oriented
+
+
+def test_without_a_neck_that_turns_the_headsets_orientation_is_left_out_with_a_warning(tmp_path):
+    text = "[markers.on]\nHmd = { bone = 'head' }\n[subject]\nheight = 1.7\nwrists = false\n"
+    setup = live_setup(tmp_path, text)
+    assert setup.places[0].orientation is None and not has_wrists(setup.skeleton)
+    (warning,) = setup.warnings
+    assert "Hmd: its orientation is not used" in warning and "wrists = false" in warning
+
+
+def test_a_run_whose_headset_sends_no_orientation_is_recorded_without(tmp_path):
+    setup = live_setup(tmp_path, "[markers.on]\nHmd = { bone = 'head' }\n")
+    written = LiveRecording(setup, tmp_path / "out")
+    at, R = np.ones((1, 3)), np.full((1, 3, 3), np.nan)
+    points = bone_point_positions(setup.skeleton, setup.places, at, R)
+    for i in range(3):
+        written.add(MarkerSample(i / 90, points, i / 90, MarkerMeasurements(at, R)))
+    path = written.close()
+    assert path is not None
+    again = Recording.load(path)
+    assert again.marker_names == ("Hmd",) and has_wrists(again.skeleton)
+
+
+def test_orientations_that_are_not_used_or_do_not_come_are_shown(tmp_path):
+    places = (
+        MarkerPlace("Hmd", "head", orientation=(1.0, 0.0, 0.0, 0.0)),
+        MarkerPlace("Left", "hand_l"),
+    )
+    gathers = SampleAssembler(("Hmd", "Left"), {}, np.eye(3), lambda sample: None)
+    assert dict(_orientation_states(gathers, places)) == {"orientations missing": "none"}
+    gathers.add([MarkerMessage(("Hmd",), (0.0, 0, 0)),
+                 MarkerMessage(("Left",), (0.0, 0, 0), (0.0, 0, 0, 1))], 0.0, 0.0, True)  # fmt: skip
+    states = dict(_orientation_states(gathers, places))
+    assert states["orientations missing"] == "Hmd"
+    assert states["orientations not used"].startswith("Left; 'jaxmocap live LIVE.toml --calibrate'")
 
 
 def test_a_device_that_sends_no_quaternion_is_placed_but_not_turned():

@@ -118,6 +118,8 @@ def test_every_sample_gives_a_pose_at_once_and_frames_give_none(tracking):
 def test_while_programs_compile_the_markers_poses_go_out(tracking, smooth):
     live, compiling = tracking(smooth), Future()
     live._compiling = compiling
+    assert not live.sample(sample(-1 / 90)) and not live.has_markers_poses
+    live._can_solve.set()
     for i in range(4):
         outputs = live.sample(sample(i / 90))
         assert [output.time for output in outputs] == [i / 90]

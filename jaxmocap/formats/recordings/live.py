@@ -7,13 +7,13 @@ OUTPUTS: a LiveSetup.
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import Skeleton, has_wrists
 from jaxmocap.formats.cameras.calibration import check_one_kind, pick_camera, read_calibration
 from jaxmocap.formats.files.addresses import (
     LOOPBACK,
@@ -26,7 +26,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable, read_toml, same_file_name
 from jaxmocap.formats.recordings.filters import OneEuroSettings, read_filters
-from jaxmocap.formats.recordings.recording import MarkerPlace, read_place
+from jaxmocap.formats.recordings.marker_places import MarkerPlace, need_wrists, read_place
 from jaxmocap.formats.recordings.subject import subject_or_default
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP, read_axes
 from jaxmocap.geometry.cameras import Camera
@@ -42,6 +42,10 @@ MAX_MARKERS = 200
 MAX_CAMERAS = 16
 # No camera is slower, seconds.
 MAX_DELAY_S = 60.0
+# What VMC's senders and VRChat's call a headset. Its axes are the head's: x ahead, y left, z up.
+HEADSETS = ("Hmd", "head")
+# The rotation by nothing, wxyz.
+_NO_ROTATION = (1.0, 0.0, 0.0, 0.0)
 # Devices are counted from 0.
 MAX_DEVICE = 999
 # Characters of the name of an LSL stream.
@@ -135,8 +139,10 @@ def load_live(path: str | Path) -> LiveSetup:
     top = TomlTable(path, "", read_toml(path), _TABLES)
     if "osc" in top and "lsl" in top:
         raise top.error("", "found both [osc] and [lsl], expected one source of markers")
-    places = _places(top)
-    skeleton, warnings = subject_or_default(top)
+    source = _marker_source(top)
+    places = _places(top, source)
+    skeleton, warnings = subject_or_default(top, need_wrists(places))
+    places, unused = _without_what_no_neck_follows(path, skeleton, places, top)
     for place in places:
         if place.bone not in skeleton.tree.bones:
             expected = ", ".join(skeleton.tree.bones)
@@ -152,13 +158,29 @@ def load_live(path: str | Path) -> LiveSetup:
         calibration=calibration,
         subject=top.entries.get("subject"),
         one_euro=_one_euro(top),
-        warnings=warnings,
-        **_marker_source(top, places),
+        warnings=(*warnings, *unused),
+        **source,
         **_pose_targets(top),
     )
 
 
-def _places(top: TomlTable) -> tuple[MarkerPlace, ...]:
+def _places(top: TomlTable, source: Mapping[str, Any]) -> tuple[MarkerPlace, ...]:
+    """Where the markers sit; a headset's orientation is the head's where nothing else is stated."""
+    on = _on(top)
+    headsets = {*HEADSETS, *(marker for sent, marker in source.get("aliases", {}).items()
+                             if sent in HEADSETS)}  # fmt: skip
+    places = []
+    for name, entry in on.entries.items():
+        place = read_place(top.path, name, entry)
+        is_default = not {"turn", "offset_in"} & set(entry) and place.bone == "head"
+        if is_default and "aliases" in source and name in headsets:
+            place = replace(place, orientation=_NO_ROTATION)
+        places.append(place)
+    return tuple(places)
+
+
+def _on(top: TomlTable) -> TomlTable:
+    """The table [markers.on], its names checked."""
     keys = ("up", "to_world", "on", "filters")
     fields = TomlTable(top.path, "[markers]", top.required("markers"), keys)
     on = TomlTable(top.path, "[markers.on]", fields.required("on"))
@@ -170,7 +192,24 @@ def _places(top: TomlTable) -> tuple[MarkerPlace, ...]:
         # It becomes part of a line of markers.csv.
         if not name or name != name.strip() or not name.isprintable():
             raise on.error("", f"found {short_repr(name)}, expected a name of printable characters")
-    return tuple(read_place(top.path, name, entry) for name, entry in on.entries.items())
+    return on
+
+
+def _without_what_no_neck_follows(
+    path: Path, skeleton: Skeleton, places: tuple[MarkerPlace, ...], top: TomlTable
+) -> tuple[tuple[MarkerPlace, ...], tuple[str, ...]]:
+    """Places without a headset's orientation by default, where the neck does not turn."""
+    if has_wrists(skeleton):
+        return places, ()
+    stated = _on(top).entries
+    is_default = [p.orientation == _NO_ROTATION and "turn" not in stated[p.name] for p in places]
+    kept = tuple(
+        replace(place, orientation=None) if dropped else place
+        for place, dropped in zip(places, is_default, strict=True)
+    )
+    problem = "its orientation is not used, for [subject] has wrists = false and no neck that turns"
+    dropped = [p.name for p, dropped in zip(places, is_default, strict=True) if dropped]
+    return kept, tuple(f"{path}: {name}: {problem}" for name in dropped)
 
 
 def _one_euro(top: TomlTable) -> OneEuroSettings | None:
@@ -187,14 +226,14 @@ def _axes(top: TomlTable) -> np.ndarray:
     return R_WORLD_OF_UP["z"] if "lsl" in top else R_WORLD_UNITY
 
 
-def _marker_source(top: TomlTable, places: tuple[MarkerPlace, ...]) -> dict[str, Any]:
+def _marker_source(top: TomlTable) -> dict[str, Any]:
     """Where the markers come from."""
     if "lsl" in top:
         return {"lsl": _stream(TomlTable(top.path, "[lsl]", top.entries["lsl"], ("stream",)))}
     keys = ("listen", "from", "names", "raw")
     fields = TomlTable(top.path, "[osc]", top.entries.get("osc", {}), keys)
     names = TomlTable(top.path, "[osc.names]", fields.entries.get("names", {}))
-    markers = [place.name for place in places]
+    markers = list(_on(top).entries)
     for sent in names.entries:
         if (marker := names.text(sent)) not in markers:
             problem = f"no marker {short_repr(marker)} in [markers.on], found {comma_list(markers)}"

@@ -28,6 +28,8 @@ PLACE_KEYS = ("bone", "at", "offset", "offset_in", "turn", "lever")
 LEVER_M = 0.1
 # Metres: nothing that is fixed to a bone is further away from it.
 FARTHEST_OFFSET_M = 10.0
+# Bones that the joints of ``body/data/wrists.toml`` turn.
+BONES_BEYOND_WRISTS = ("neck", "head", "radius_l", "radius_r", "hand_l", "hand_r")
 
 
 @dataclass(frozen=True)
@@ -76,11 +78,11 @@ def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
                 "offset_in", f"found {short_repr(axes)}, expected 'bone' or 'marker'"
             )
         place = replace(place, offset_in=axes)
-    if "turn" in fields:
+    if fields.entries.get("turn", False) is not False:
         place = replace(place, orientation=_quaternion(fields))
     if "lever" in fields:
         lever = fields.number("lever", high=FARTHEST_OFFSET_M)
-        if "turn" not in fields or not lever > 0.0:
+        if place.orientation is None or not lever > 0.0:
             raise fields.error("lever", f"found {lever:g}, expected metres above 0 beside 'turn'")
         place = replace(place, lever=lever)
     return place
@@ -88,12 +90,22 @@ def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
 
 def _quaternion(fields: TomlTable) -> tuple[float, float, float, float]:
     """The unit quaternion of ``orientation``."""
-    quaternion = fields.array("turn", [(4,)], "a quaternion w, x, y, z")
+    quaternion = fields.array("turn", [(4,)], "a quaternion w, x, y, z, or false")
     norm = float(np.linalg.norm(quaternion))
     if abs(norm - 1) > 0.01:
         raise fields.error("turn", f"found a quaternion of length {norm:g}, expected 1")
     w, x, y, z = (quaternion / norm).tolist()
     return w, x, y, z
+
+
+def need_wrists(places: Sequence[MarkerPlace]) -> bool:
+    """Whether a marker measures an orientation that the paper's 21 joints cannot follow.
+
+    Without a neck that turns, a headset's orientation turns the trunk.
+    """
+    return any(
+        place.orientation is not None and place.bone in BONES_BEYOND_WRISTS for place in places
+    )
 
 
 def bone_points(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> tuple[MarkerPlace, ...]:

@@ -23,6 +23,7 @@ from jaxmocap.formats.recordings.marker_places import (
     MarkerPlace,
     bone_point_positions,
     bone_points,
+    need_wrists,
     read_place,
 )
 from jaxmocap.formats.recordings.rigid_bodies import with_rigid_sets
@@ -125,16 +126,17 @@ def load_recording(path: str | Path) -> Recording:
     """
     path = Path(path)
     top = TomlTable(path, "", read_toml(path), ("markers", "video", "calibration", "subject"))
-    skeleton, warnings = subject_or_default(top)
     if "markers" not in top and not top.entries.get("video"):
         raise top.error("", "neither [markers] nor [[video]], expected one of them")
     if "markers" not in top:
+        skeleton, warnings = subject_or_default(top)
         no_markers = np.zeros(0), np.zeros((0, 0, 3)), ()
         videos = read_videos(top)
         return _at_local_origin(
             top, Recording(skeleton, *no_markers, videos, path.stem, path, warnings)
         )
     markers, places, filters = _read_placed_markers(top)
+    skeleton, warnings = subject_or_default(top, need_wrists(places))
     is_present = np.isfinite(markers.positions.sum(-1))
     warnings += tuple(
         f"{path}: marker {place.name!r} is missing in every sample"

@@ -2,7 +2,8 @@
 
 INPUTS: a table with ``height`` (and ``mass``), or ``static`` (a marker file of the person
 standing), ``up`` or ``to_world``, and ``landmarks``; or ``file``, a TOML file of these keys. With
-``wrists = true`` the body has rotation of the neck, twist of the forearms and wrists as well.
+``wrists = true`` the body has rotation of the neck, twist of the forearms and wrists as well; that
+is the default where a marker on head or hands measures an orientation.
 Beside ``height`` the table ``bones`` may state single bones' ``length`` (metres), ``mass``
 (kilograms), ``diameter`` (metres, near and far end) and ``direction`` (in the upright body's axes).
 OUTPUTS: a Skeleton scaled to the person; or such a file, which ``jaxmocap scale`` writes.
@@ -41,51 +42,70 @@ _SKELETON_FIELDS = {
 }
 
 
-def subject_or_default(top: TomlTable) -> tuple[Skeleton, tuple[str, ...]]:
+def subject_or_default(top: TomlTable, wrists: bool = False) -> tuple[Skeleton, tuple[str, ...]]:
     """The skeleton of a file's [subject], or of the default height with a warning.
+
+    Args:
+        top: the file.
+        wrists: whether it has wrists where the file does not state it.
 
     Raises:
         InputError: see ``read_subject``.
     """
     if "subject" in top:
-        return read_subject(top.path, "[subject]", top.entries["subject"]), ()
+        return read_subject(top.path, "[subject]", top.entries["subject"], wrists), ()
     warning = f"{top.path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed"
-    return Skeleton.human(DEFAULT_HEIGHT), (warning,)
+    skeleton = Skeleton.human(DEFAULT_HEIGHT)
+    return with_wrists(skeleton) if wrists else skeleton, (warning,)
 
 
-def read_subject(path: Path, where: str, table: Any) -> Skeleton:
+def read_subject(path: Path, where: str, table: Any, wrists: bool = False) -> Skeleton:
     """The skeleton of a [subject] table.
 
     Args:
         path: the file that holds the table; paths in it are relative to it.
         where: how to call the table in messages.
         table: the table.
+        wrists: whether it has wrists where neither the table nor its file states it.
 
     Raises:
         InputError: a field that is missing, unknown or does not fit.
     """
     keys = ("file", "height", *_STATIC_KEYS, "bones", "wrists")
     fields = TomlTable(path, where, table, keys)
-    wrists = fields.entries.get("wrists", False)
-    if not isinstance(wrists, bool):
-        raise fields.error("wrists", f"found {short_repr(wrists)}, expected true or false")
-    if "wrists" in fields:
-        rest = {key: value for key, value in fields.entries.items() if key != "wrists"}
-        skeleton = read_subject(path, where, rest)
-        return with_wrists(skeleton) if wrists else skeleton
-    chosen = [key for key in ("file", "height", "static") if key in fields]
-    if len(chosen) != 1:
-        stated = " and ".join(chosen) or "none"
+    stated = fields.entries.get("wrists")
+    if stated is not None and not isinstance(stated, bool):
+        raise fields.error("wrists", f"found {short_repr(stated)}, expected true or false")
+    usual = wrists if stated is None else stated
+    rest = {key: value for key, value in fields.entries.items() if key != "wrists"}
+    if "file" in rest:
+        skeleton = _by_file(TomlTable(path, where, rest), usual)
+        return with_wrists(skeleton) if stated else skeleton
+    skeleton = _by_height_or_static(TomlTable(path, where, rest))
+    return with_wrists(skeleton) if usual else skeleton
+
+
+def _by_file(fields: TomlTable, wrists: bool) -> Skeleton:
+    """The skeleton of the file that a table names."""
+    if also := [key for key in ("height", "static") if key in fields]:
+        stated = " and ".join(["file", *also])
         raise fields.error("", f"found {stated}, expected one of file, height, static")
+    other = TomlTable(fields.path, fields.where, fields.entries, ("file",)).file("file")
+    content = read_toml(other)
+    if "file" in content:
+        raise fields.error("file", f"{other} names yet another file, expected height or static")
+    return read_subject(other, "", content, wrists)
+
+
+def _by_height_or_static(fields: TomlTable) -> Skeleton:
+    chosen = [key for key in ("height", "static") if key in fields]
+    path, where, table = fields.path, fields.where, fields.entries
     if chosen == ["height"]:
         return _by_height(TomlTable(path, where, table, _HEIGHT_KEYS))
     if chosen == ["static"]:
         return _by_static_trial(TomlTable(path, where, table, _STATIC_KEYS))
-    other = TomlTable(path, where, table, ("file",)).file("file")
-    content = read_toml(other)
-    if "file" in content:
-        raise fields.error("file", f"{other} names yet another file, expected height or static")
-    return read_subject(other, "", content)
+    stated = " and ".join(chosen) or "none"
+    raise fields.error("", f"found {stated}, expected one of file, height, static")
 
 
 def _by_height(fields: TomlTable) -> Skeleton:
@@ -168,8 +188,9 @@ def write_subject(
         if not np.allclose(skeleton.directions[i], usual.directions[i], atol=1e-6):
             entry["direction"] = [round(float(part), 6) for part in skeleton.directions[i]]
         entries[name] = entry
-    wrists = skeleton.tree.joints != usual.tree.joints
-    top = {"height": round(height, 4), "mass": round(float(masses.sum()), 3), "wrists": wrists}
+    top: dict[str, Any] = {"height": round(height, 4), "mass": round(float(masses.sum()), 3)}
+    if skeleton.tree.joints != usual.tree.joints:
+        top["wrists"] = True
     title = "# Metres and kilograms; what is not stated of a bone follows from height and mass."
     title = "\n".join([title, *(f"# {line}" for line in comments)])
     write_toml(path, [(title, top), ("[bones]", entries)])

@@ -47,8 +47,10 @@ LONGEST_QUEUE = 8
 HEARTBEAT_S = 0.25
 # Seconds after which Python switches threads: its default of 5 ms would add to a sample's latency.
 THREAD_SWITCH_S = 5e-4
-# While programs compile.
-COMPILING = "compiling; until that is done, poses come from the markers alone"
+# While programs compile; the times are those of a first run on two cores.
+COMPILING_FIRST = "compiling, about 10 s on a first run; what comes in until then is not tracked"
+COMPILING_VIDEO = "poses come from the markers alone; compiling for the video, about 20 s more"
+COMPILING_REST = "poses come; compiling the rest"
 
 
 class Live:
@@ -70,7 +72,7 @@ class Live:
         viewer: Callable[[Output, dict[str, LiveFrame]], None] | None = None,
         status: LiveStatus | None = None,
     ):
-        """Open everything and compile; no device is read yet.
+        """Open everything and begin to compile; no device is read yet.
 
         Args:
             setup: what to listen to, whose body it is, where poses go.
@@ -211,9 +213,9 @@ class Live:
 
     def _update_status(self, now: float) -> None:
         """Log changed states, and update the status line."""
-        compiled = "ready" if self.tracking.is_ready else COMPILING
-        self.status.set_state(now, "tracking", compiled)
-        for subject, state in stream_states(self._socket, self._gathering, self._cameras, now):
+        self.status.set_state(now, "tracking", self._progress())
+        sources = self._socket, self._gathering, self._cameras
+        for subject, state in stream_states(*sources, now, self._setup.places):
             self.status.set_state(now, subject, state)
         if self.recording is not None and self.recording.problem:
             self.status.set_state(now, "recording", self.recording.problem)
@@ -225,7 +227,16 @@ class Live:
             {name: None if at is None else now - at for name, at in received_at.items()},
             self._dropped(),
             self._deviations,
+            self.tracking.is_ready,
         )
+
+    def _progress(self) -> str:
+        """How far compiling is."""
+        if self.tracking.is_ready:
+            return "ready"
+        if not self.tracking.has_markers_poses:
+            return COMPILING_FIRST
+        return COMPILING_VIDEO if self._setup.videos else COMPILING_REST
 
     def _dropped(self) -> dict[str, int]:
         return {

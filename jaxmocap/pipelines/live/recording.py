@@ -23,6 +23,7 @@ import numpy as np
 from av.error import FFmpegError
 
 from jaxmocap.body.orientations import quaternions
+from jaxmocap.body.skeleton import has_wrists
 from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.formats.files.errors import InputError
@@ -39,6 +40,7 @@ from jaxmocap.formats.files.writing import (
 from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import MarkerPlace
 from jaxmocap.formats.recordings.recording import write_recording
+from jaxmocap.formats.recordings.subject import DEFAULT_HEIGHT
 from jaxmocap.formats.time_series.tables import format_rows
 from jaxmocap.pipelines.live.files import GrowingVideo, LineFile
 
@@ -76,6 +78,8 @@ class LiveRecording:
         self._problems: dict[str, str] = {}
         self._videos: dict[int, GrowingVideo] = {}
         self._written_state: Any = None
+        # Markers whose orientation has been measured.
+        self._oriented = np.zeros(len(setup.places), bool)
         try:
             with as_output_error(self.folder):
                 self.folder.mkdir(parents=True, exist_ok=True)
@@ -185,9 +189,11 @@ class LiveRecording:
     def _add_sample(self, sample: MarkerSample) -> None:
         measurements = sample.measurements
         columns = sample.positions_world if measurements is None else measurements.positions_world
-        missing = np.full((len(columns), 4), np.nan)
-        turns = missing if measurements is None else quaternions(measurements.orientations_world)
-        columns = np.hstack([columns, turns])
+        wxyz = np.full((len(columns), 4), np.nan)
+        if measurements is not None:
+            wxyz = quaternions(measurements.orientations_world)
+            self._oriented |= np.isfinite(wxyz).all(-1)
+        columns = np.hstack([columns, wxyz])
         self._lines.add(",".join([f"{sample.time:.9f}", *format_rows(columns).ravel()]))
 
     def _add_frame(self, frame: LiveFrame) -> None:
@@ -201,8 +207,8 @@ class LiveRecording:
         videos_on_disk = [
             (i, video) for i, video in sorted(self._videos.items()) if video.is_readable
         ]
-        there = self._lines.has_lines, [i for i, _ in videos_on_disk]
-        if there == (False, []) or (there == self._written_state and not again):
+        there = self._lines.has_lines, [i for i, _ in videos_on_disk], self._oriented.sum()
+        if there[:2] == (False, []) or (there == self._written_state and not again):
             return
         videos = [
             {
@@ -212,7 +218,10 @@ class LiveRecording:
             }
             for i, video in videos_on_disk
         ]
-        on = {place.name: _marker_entry(place) for place in self._setup.places}
+        on = {
+            place.name: _marker_entry(place, bool(has_orientation))
+            for place, has_orientation in zip(self._setup.places, self._oriented, strict=True)
+        }
         markers = MARKERS_FILE if there[0] else None
         calibration = next((name for name in self._copies if name.startswith("calib")), None)
         content = markers, on, videos, calibration if videos else None, self._subject
@@ -280,9 +289,7 @@ def _subject_table(setup: LiveSetup) -> tuple[Path, dict[str, Any]]:
     if "file" not in table:
         return setup.path.parent, table
     file = setup.path.parent / table.pop("file")
-    content = read_toml(file)
-    wrists = bool(table.get("wrists") or content.get("wrists"))
-    return file.parent, content | ({"wrists": True} if wrists else {})
+    return file.parent, read_toml(file) | table
 
 
 def _static_file(setup: LiveSetup) -> Path | None:
@@ -295,15 +302,17 @@ def _subject(setup: LiveSetup) -> dict[str, Any] | None:
     _, table = _subject_table(setup)
     if static := _static_file(setup):
         table["static"] = f"static{static.suffix.lower()}"
+    if has_wrists(setup.skeleton):
+        table = (table or {"height": DEFAULT_HEIGHT}) | {"wrists": True}
     return table or None
 
 
-def _marker_entry(place: MarkerPlace) -> dict[str, Any]:
-    """The entry of [markers.on], without what is usual."""
+def _marker_entry(place: MarkerPlace, has_orientation: bool) -> dict[str, Any]:
+    """The entry of [markers.on], without what is usual or has not been measured."""
     entry: dict[str, Any] = {"bone": place.bone, "at": place.at, "offset": list(place.offset)}
     if place.offset_in == "marker":
         entry["offset_in"] = place.offset_in
-    if place.orientation is not None:
+    if place.orientation is not None and has_orientation:
         entry |= {"turn": list(place.orientation), "lever": place.lever}
     return entry
 

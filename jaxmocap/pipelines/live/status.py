@@ -133,6 +133,7 @@ class LiveStatus:
         ages: Mapping[str, float | None],
         dropped: Mapping[str, int],
         deviations: np.ndarray,
+        is_ready: bool = True,
     ) -> None:
         """Print the status line, if it is due.
 
@@ -141,20 +142,23 @@ class LiveStatus:
             ages: stream -> seconds since it last received something, None before that.
             dropped: kind -> number of dropped ones.
             deviations: (2,) standard deviations of the elbows, metres; NaN where unknown.
+            is_ready: whether all is compiled.
         """
         if now < self._next_line_at:
             return
         self._next_line_at = now + (TERMINAL_INTERVAL_S if self._is_terminal else LOG_INTERVAL_S)
         median, most = self.latency_ms(LATENCIES_SHOWN)
+        latency = f"latency {median:.1f} ms, 99 % {most:.1f} ms" if np.isfinite(median) else ""
         shown = [
+            "" if is_ready else f"compiling {now:.0f} s",
             f"{self.rate(now):3.0f} /s",
-            f"latency {median:.1f} ms, 99 % {most:.1f} ms",
+            latency,
             "dropped " + ", ".join(f"{count} {what}" for what, count in dropped.items()),
             "age " + ", ".join(f"{short_name(name)} {_age(age)}" for name, age in ages.items()),
             "elbows " + " ".join(map(_plus_minus, deviations)),
         ]
         end = "" if self._is_terminal else "\n"
-        self._print(f"{self._clear()}{' | '.join(shown)}{end}")
+        self._print(f"{self._clear()}{' | '.join(filter(None, shown))}{end}")
 
     def _clear(self) -> str:
         return "\r\x1b[K" if self._is_terminal else ""

@@ -12,6 +12,7 @@ from jaxmocap.capture.streams.lsl import MarkerStream
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.udp import MarkerSocket
 from jaxmocap.formats.files.short_repr import comma_list, short_name
+from jaxmocap.formats.recordings.marker_places import MarkerPlace
 
 # A stream that received nothing for so many seconds is silent; no pose is sent then.
 SILENT_S = 0.3
@@ -22,6 +23,7 @@ def stream_states(
     gathering: SampleAssembler,
     cameras: Sequence[LiveCamera],
     now: float,
+    places: Sequence[MarkerPlace] = (),
 ) -> Iterator[tuple[str, str]]:
     """The state of every stream.
 
@@ -30,9 +32,11 @@ def stream_states(
         gathering: that makes samples of them.
         cameras: all of them.
         now: seconds.
+        places: of the markers.
     """
     yield "markers", _markers_state(markers, now)
     yield "missing", comma_list(gathering.missing(now)) or "none"
+    yield from _orientation_states(gathering, places)
     if jumps := markers.clock_jumps:
         yield "the sender's clock", f"was set, {tenfold(jumps)} times"
     for why, count in list(markers.ignored.items()):
@@ -46,6 +50,20 @@ def stream_states(
     for camera in cameras:
         reason = f" ({camera.reason})" if camera.reason else ""
         yield short_name(camera.name), camera.problem or f"{camera.status}{reason}"
+
+
+def _orientation_states(
+    gathering: SampleAssembler, places: Sequence[MarkerPlace]
+) -> Iterator[tuple[str, str]]:
+    """Orientations that come and are not used, and those that are and do not come."""
+    placed, oriented = gathering.placed(), gathering.oriented()
+    unused = [p.name for p in places if not p.needs_orientation and p.name in oriented]
+    if unused:
+        how = "'jaxmocap live LIVE.toml --calibrate' measures how they are held"
+        yield "orientations not used", f"{comma_list(unused)}; {how}"
+    absent = [p.name for p in places if p.needs_orientation and p.name in placed - oriented]
+    if any(place.needs_orientation for place in places):
+        yield "orientations missing", comma_list(absent) or "none"
 
 
 def _markers_state(markers: MarkerSocket | MarkerStream, now: float) -> str:

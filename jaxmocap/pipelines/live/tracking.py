@@ -73,7 +73,7 @@ class LiveTracking:
         smooth: bool,
         tracker: HybridTracker | None = None,
     ):
-        """Prepare, and compile what the markers' poses need; the rest compiles beside.
+        """Prepare; all compiles in a thread beside, what the markers' poses need first.
 
         Args:
             setup: person, markers, cameras.
@@ -91,10 +91,15 @@ class LiveTracking:
             tracker = tracker.by_search() if self.needs_colour else tracker
         self.tracker = tracker
         self._filter = None if setup.one_euro is None else OneEuro(setup.one_euro)
-        self._ended = Event()
+        self._ended, self._can_solve = Event(), Event()
         self._compiling: Future[None] | None = None
         self._reset()
         self._warm_up()
+
+    @property
+    def has_markers_poses(self) -> bool:
+        """Whether what the markers' poses need is compiled; until then there are none."""
+        return self._can_solve.is_set() or self.is_ready
 
     @property
     def is_ready(self) -> bool:
@@ -136,13 +141,11 @@ class LiveTracking:
         return FixedLagSmoother(self.tracker.model, self.tracker.settings.smoothing)
 
     def _warm_up(self) -> None:
-        """Compile what the markers' poses need at once, and the rest in a thread beside."""
-        points = self._standing()
-        self.tracker.solve(self.tracker.init(points), points)
+        """Compile in a thread beside: what the markers' poses need, then the rest."""
         other = copy(self)
         other._reset()
         beside = ThreadPoolExecutor(1, "rehearse")
-        self._compiling = beside.submit(other._rehearse, points)
+        self._compiling = beside.submit(other._rehearse)
         beside.shutdown(wait=False)
 
     def _standing(self) -> np.ndarray:
@@ -151,8 +154,11 @@ class LiveTracking:
         frames = forward(model.skeleton, relaxed_pose(model.skeleton))
         return np.asarray(site_positions(model.skeleton, frames, model.markers), float)
 
-    def _rehearse(self, points: np.ndarray) -> None:
-        """Track somebody who stands still before a grey wall."""
+    def _rehearse(self) -> None:
+        """Track somebody who stands still, by markers alone, then before a grey wall."""
+        points = self._standing()
+        jax.block_until_ready(self.tracker.solve(self.tracker.init(points), points))
+        self._can_solve.set()
         model = self.tracker.model
         sizes = [] if model.cameras is None else np.asarray(model.cameras.size, int)
         for i in range(12 if self.needs_colour else 2):
@@ -166,6 +172,8 @@ class LiveTracking:
 
     def sample(self, sample: MarkerSample) -> list[Output]:
         """Take a sample; the poses to be sent now."""
+        if not self.has_markers_poses:
+            return []
         if self._filter is not None and self._filtered is not None:
             points = sample.positions_world
             self._filtered, points = self._filter.step(self._filtered, sample.time, points)
