@@ -343,8 +343,9 @@ def test_orientations_that_are_not_used_or_do_not_come_are_shown(tmp_path):
     )
     gathers = SampleAssembler(("Hmd", "Left"), {}, np.eye(3), lambda sample: None)
     assert dict(_orientation_states(gathers, places)) == {"orientations missing": "none"}
-    gathers.add([MarkerMessage(("Hmd",), (0.0, 0, 0)),
-                 MarkerMessage(("Left",), (0.0, 0, 0), (0.0, 0, 0, 1))], 0.0, 0.0, True)  # fmt: skip
+    at = (0.0, 0.0, 0.0)
+    sent = [MarkerMessage(("Hmd",), at), MarkerMessage(("Left",), at, (0.0, 0, 0, 1))]
+    gathers.add(sent, 0.0, 0.0, is_complete=True)
     states = dict(_orientation_states(gathers, places))
     assert states["orientations missing"] == "Hmd"
     assert states["orientations not used"].startswith("Left; 'jaxmocap live LIVE.toml --calibrate'")

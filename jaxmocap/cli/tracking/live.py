@@ -21,6 +21,22 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="give each pose out, smoothed, after two more video frames",
     )
+    parser.add_argument(
+        "--calibrate",
+        nargs="?",
+        choices=("t", "i"),
+        const="t",
+        help="before tracking, stand still in a T pose (arms to the sides, palms down) or an I "
+        "pose (arms hanging, thumbs ahead): measures height, arms and how devices are held, and "
+        "puts it into LIVE.toml; t by default",
+    )
+    parser.add_argument(
+        "--countdown",
+        metavar="S",
+        type=positive_number,
+        default=5.0,
+        help="seconds until that pose; default: 5",
+    )
     add_refine(parser, "how video refines the markers' pose, see 'track'")
     parser.add_argument(
         "--view", choices=("window", "web"), help="show it in rerun's viewer, or in a browser"
@@ -43,6 +59,8 @@ def _run(options: argparse.Namespace) -> int:
         settings=choose_settings(options.refine, options.evidence),
         seconds=options.seconds,
         view=options.view,
+        calibrate=options.calibrate,
+        countdown=options.countdown,
     )
     report(options, live_summary(figures), figures)
     if figures["terminated"]:

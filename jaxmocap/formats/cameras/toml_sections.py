@@ -1,12 +1,12 @@
 """Changing one section of a TOML file and nothing else: comments and unknown keys stay.
 
-INPUTS: the text of a TOML file, the name of a section, its new entries.
+INPUTS: the text of a TOML file, the names of a section, its new entries.
 OUTPUTS: the text with that section's entries replaced or added.
 """
 
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from jaxmocap.formats.files.toml import toml_key, toml_value
@@ -15,28 +15,40 @@ from jaxmocap.formats.files.toml_scan import statement_starts
 _HEADER = re.compile(r"\s*\[.*\]\s*(#.*)?")
 
 
-def replace_entries(text: str, section: str, entries: Mapping[str, Any]) -> str:
+def replace_entries(text: str, section: str | Sequence[str], entries: Mapping[str, Any]) -> str:
     """Put entries into ``[section]``; its other keys, and all other sections, stay as they are.
 
     Args:
         text: of a TOML file, valid.
-        section: name of a top-level table; it is added at the end where there is none.
-        entries: key -> text, number, boolean or list.
+        section: name of a table, or its names from the top down; it is added at the end where
+            there is none.
+        entries: key -> text, number, boolean, list or table.
 
     Raises:
         ValueError: the section is not written as a ``[section]`` of its own.
     """
-    old = tomllib.loads(text)
-    blocks = _sections(text)
+    names = (section,) if isinstance(section, str) else tuple(section)
+    header = f"[{'.'.join(map(toml_key, names))}]"
+    old, blocks = tomllib.loads(text), _sections(text)
     for i, block in enumerate(blocks):
-        if _begins_section(block, section):
+        if _begins_section(block, names):
             blocks[i] = _with_entries(block, entries)
             break
     else:
-        if section in old:
-            raise ValueError(f"is not written as [{section}] on a line of its own")
-        blocks = [*_ending_blank(blocks), _with_entries(f"[{toml_key(section)}]\n", entries)]
+        if _has_table(old, names):
+            raise ValueError(f"is not written as {header} on a line of its own")
+        blocks = [*_ending_blank(blocks), _with_entries(f"{header}\n", entries)]
     return "".join(blocks)
+
+
+def _has_table(top: Mapping[str, Any], names: Sequence[str]) -> bool:
+    """Whether a table is there, by its names from the top down."""
+    table: Any = top
+    for name in names:
+        if not isinstance(table, Mapping) or name not in table:
+            return False
+        table = table[name]
+    return True
 
 
 def replace_entries_of_each(
@@ -91,10 +103,12 @@ def _statements(text: str) -> list[str]:
     return [text[start:end] for start, end in zip(starts, [*starts[1:], None], strict=True)]
 
 
-def _begins_section(block: str, section: str) -> bool:
+def _begins_section(block: str, names: Sequence[str]) -> bool:
     """Does a block begin with the header of exactly that section?"""
-    header = block.lstrip().split("\n")[0]
-    return header.startswith("[") and tomllib.loads(header) == {section: {}}
+    header, expected = block.lstrip().split("\n")[0], {}
+    for name in reversed(names):
+        expected = {name: expected}
+    return header.startswith("[") and tomllib.loads(header) == expected
 
 
 def _with_entries(block: str, entries: Mapping[str, Any]) -> str:

@@ -107,7 +107,7 @@ class Live:
             setup.marker_names, setup.aliases, setup.R_world_source, self._take_sample, bind
         )
         self._gathering = gathering
-        self._socket = _source(setup, gathering, self._now)
+        self._socket = marker_source(setup, gathering, self._now)
         ending.callback(self._socket.stop)
         colour = smooth or out is not None or self._viewer is not None
         self._cameras = [
@@ -271,7 +271,7 @@ class Live:
             yield self.recording.problem
 
 
-def _source(
+def marker_source(
     setup: LiveSetup, gathering: SampleAssembler, now: Callable[[], float]
 ) -> MarkerSocket | MarkerStream:
     """The source of markers."""

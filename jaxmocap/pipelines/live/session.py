@@ -14,16 +14,19 @@ import numpy as np
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.calibration.devices.standing import Stance
 from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.formats.files.errors import printable
 from jaxmocap.formats.files.short_repr import short_name
 from jaxmocap.formats.recordings.live import LiveSetup, load_live
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.pipelines.live.calibrating import COUNTDOWN_S, calibrate_live
 from jaxmocap.pipelines.live.loop import Live
 from jaxmocap.pipelines.live.recording import check_free
 from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stop import stopped_by_signals
 from jaxmocap.pipelines.live.tracking import Output
+from jaxmocap.pipelines.signals import Terminated
 from jaxmocap.pipelines.view import start_viewer
 
 ViewerKind = Literal["window", "web"]
@@ -39,6 +42,8 @@ def run_live(
     settings: Settings | None = None,
     seconds: float | None = None,
     view: ViewerKind | None = None,
+    calibrate: Stance | None = None,
+    countdown: float = COUNTDOWN_S,
     status: LiveStatus | None = None,
 ) -> dict[str, Any]:
     """Run until Ctrl-C or SIGTERM, or so many seconds.
@@ -50,6 +55,9 @@ def run_live(
         settings: of the tracker; defaults to ``Settings()``.
         seconds: how long, or None.
         view: show it in rerun's window or in a browser.
+        calibrate: measure first, in a T or an I pose, how devices are held, and put it into the
+            file.
+        countdown: seconds until that pose.
         status: takes messages and figures of the run.
 
     Returns:
@@ -58,10 +66,17 @@ def run_live(
 
     Raises:
         InputError: what cannot be read or opened.
-        OutputError: the disk is full before it begins.
+        OutputError: the disk is full before it begins, or the calibration fails.
     """
     status = status or LiveStatus()
     setup = _load(path, out, status)
+    calibration: dict[str, Any] = {}
+    if calibrate is not None:
+        with stopped_by_signals() as stop:
+            calibration = calibrate_live(setup, calibrate, status, stop, countdown)
+        if not calibration:
+            raise Terminated if stop.terminated else KeyboardInterrupt
+        setup = _load(path, out, status)
     with ExitStack() as ending:
         viewer = _viewer(setup, view, status, ending) if view else None
         live = Live(
@@ -70,7 +85,7 @@ def run_live(
         ending.callback(live.close)
         with stopped_by_signals() as stop:
             figures = live.run(seconds, stop)
-        return figures | {"terminated": stop.terminated}
+        return figures | {"terminated": stop.terminated, "calibration": calibration or None}
 
 
 def _load(path: str | Path, out: str | Path | None, status: LiveStatus) -> LiveSetup:

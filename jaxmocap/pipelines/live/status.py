@@ -160,6 +160,11 @@ class LiveStatus:
         end = "" if self._is_terminal else "\n"
         self._print(f"{self._clear()}{' | '.join(filter(None, shown))}{end}")
 
+    def ring(self) -> None:
+        """Ring a terminal's bell, for who wears a headset."""
+        if self._is_terminal:
+            self._print("\a")
+
     def _clear(self) -> str:
         return "\r\x1b[K" if self._is_terminal else ""
 

@@ -6,7 +6,7 @@ INPUTS: DeviceOffsets. OUTPUTS: text with lines for [markers.on]; figures for JS
 from collections.abc import Sequence
 
 from jaxmocap.body.orientations import quaternions
-from jaxmocap.calibration.offsets import DeviceOffset
+from jaxmocap.calibration.devices.offsets import DeviceOffset
 
 
 def offsets_text(offsets: Sequence[DeviceOffset]) -> str:

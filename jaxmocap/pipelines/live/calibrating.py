@@ -1,0 +1,317 @@
+"""``live --calibrate``: the person stands still, and the live file learns how devices are held.
+
+INPUTS: a live file, a stance, the devices' stream. OUTPUTS: the live file with height, arms'
+lengths, orientations and offsets; figures.
+"""
+
+import threading
+import tomllib
+from collections import deque
+from collections.abc import Mapping
+from time import monotonic
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxmocap.calibration.devices.standing import (
+    Stance,
+    StandingCalibration,
+    StandingError,
+    calibrate_standing,
+)
+from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
+from jaxmocap.formats.cameras.toml_sections import replace_entries
+from jaxmocap.formats.files.errors import InputError, OutputError
+from jaxmocap.formats.files.short_repr import comma_list
+from jaxmocap.formats.files.toml import toml_value
+from jaxmocap.formats.files.writing import write_text
+from jaxmocap.formats.recordings.live import LiveSetup
+from jaxmocap.pipelines.live.loop import marker_source
+from jaxmocap.pipelines.live.status import LiveStatus
+
+# What the person is asked to do.
+INSTRUCTIONS: dict[Stance, str] = {
+    "t": "stand upright, arms stretched to the sides, palms down, and look straight ahead",
+    "i": "stand upright, arms hanging, thumbs ahead, and look straight ahead",
+}
+# Seconds from the command to the stance.
+COUNTDOWN_S = 5.0
+# Seconds of standing still that are used.
+STILL_S = 2.0
+# Samples of each device within them, at least.
+MIN_SAMPLES = 10
+# Devices stand still where they move by less: metres and degrees (RMS).
+STILL_M = 0.015
+STILL_DEG = 4.0
+# Seconds that the devices are waited for, and that somebody may take to stand still.
+PATIENCE_S = 30.0
+# Seconds between looks at the samples.
+POLL_S = 0.1
+_DECIMALS = {"height": 3, "length": 4, "turn": 4, "offset": 4}
+
+
+class StillSamples(NamedTuple):
+    """Devices during a while: T samples of M markers.
+
+    Attributes:
+        positions_world: (T, M, 3) metres; NaN where missing.
+        R_world_marker: (T, M, 3, 3); NaN where missing.
+    """
+
+    positions_world: np.ndarray
+    R_world_marker: np.ndarray
+
+
+def calibrate_live(
+    setup: LiveSetup,
+    stance: Stance,
+    status: LiveStatus,
+    stop: threading.Event,
+    countdown: float = COUNTDOWN_S,
+) -> dict[str, Any]:
+    """Measure somebody who stands still, and put it into the live file.
+
+    Args:
+        setup: of the live file.
+        stance: ``t`` or ``i``.
+        status: takes what the person is to do, and what was measured.
+        stop: ends it early.
+        countdown: seconds until the stance.
+
+    Returns:
+        Figures; empty where it was stopped.
+
+    Raises:
+        InputError: the live file cannot be changed in place; or an address cannot be had.
+        OutputError: no device came in, nobody stood still, or what was measured is no stance.
+    """
+    listening = _Listening(setup, status, stop)
+    try:
+        if not listening.wait_for_devices() or not listening.count_down(stance, countdown):
+            return {}
+        still = listening.stand_still()
+    finally:
+        listening.close()
+    if still is None:
+        return {}
+    try:
+        result = calibrate_standing(
+            setup.places, *_mean(still), stance, setup.skeleton, _is_by_height(setup)
+        )
+    except StandingError as error:
+        raise OutputError(setup.path, f"not calibrated: {error}") from None
+    _put_into(setup, result)
+    for line in _summary(setup, result):
+        status.log(listening.now(), line)
+    status.ring()
+    return _figures(result)
+
+
+class _Listening:
+    """Samples of the devices, the newest ones."""
+
+    def __init__(self, setup: LiveSetup, status: LiveStatus, stop: threading.Event):
+        self._began, self._setup, self._status, self._stop = monotonic(), setup, status, stop
+        self._samples: deque[MarkerSample] = deque(maxlen=2000)
+        assembler = SampleAssembler(
+            setup.marker_names, setup.aliases, setup.R_world_source, self._samples.append
+        )
+        self._source = marker_source(setup, assembler, self.now)
+        self._source.start()
+        status.log(0.0, f"listening at {self._source.address}")
+
+    def now(self) -> float:
+        """Seconds since it began."""
+        return monotonic() - self._began
+
+    def close(self) -> None:
+        self._source.stop()
+
+    def wait_for_devices(self) -> bool:
+        """Wait until every device has come, or the first ones have for some seconds."""
+        until = self.now() + PATIENCE_S
+        missing = set(self._setup.marker_names)
+        while missing and self.now() < until:
+            if self._stop.wait(POLL_S):
+                return False
+            missing = set(self._setup.marker_names) - self._recent_names()
+        if missing == set(self._setup.marker_names):
+            raise OutputError(
+                self._setup.path,
+                f"not calibrated: no marker came in at {self._source.address} within "
+                f"{PATIENCE_S:.0f} s",
+            )
+        if missing:
+            self._status.log(self.now(), f"missing: {comma_list(sorted(missing))}")
+        return True
+
+    def count_down(self, stance: Stance, seconds: float) -> bool:
+        """Tell what to do, and wait."""
+        self._status.log(self.now(), f"in {seconds:.0f} s {INSTRUCTIONS[stance]}")
+        return not self._stop.wait(seconds)
+
+    def stand_still(self) -> StillSamples | None:
+        """The samples of the first seconds in which all devices stood still."""
+        self._status.log(self.now(), "stand still")
+        until, problem = self.now() + PATIENCE_S, "no device came in"
+        self._samples.clear()
+        while self.now() < until:
+            if self._stop.wait(POLL_S):
+                return None
+            samples = self._recent_samples()
+            if samples is not None:
+                moved = _movement(self._setup, samples)
+                if not moved:
+                    return samples
+                problem = moved
+        raise OutputError(
+            self._setup.path, f"not calibrated: {problem} within {STILL_S:.0f} s; stand still"
+        )
+
+    def _recent(self) -> list[MarkerSample]:
+        newest = [each for each in list(self._samples) if each.measurements is not None]
+        return [each for each in newest if self.now() - each.arrived < STILL_S]
+
+    def _recent_names(self) -> set[str]:
+        samples = _stacked(self._recent())
+        if samples is None:
+            return set()
+        has_come = np.isfinite(samples.positions_world).all(-1).any(0)
+        return {self._setup.marker_names[i] for i in np.flatnonzero(has_come)}
+
+    def _recent_samples(self) -> StillSamples | None:
+        """The last seconds' samples, once there are enough."""
+        recent = self._recent()
+        if len(recent) < MIN_SAMPLES or recent[-1].arrived - recent[0].arrived < 0.9 * STILL_S:
+            return None
+        return _stacked(recent)
+
+
+def _stacked(samples: list[MarkerSample]) -> StillSamples | None:
+    measured = [each.measurements for each in samples if each.measurements is not None]
+    if not measured:
+        return None
+    return StillSamples(
+        np.stack([each.positions_world for each in measured]),
+        np.stack([each.orientations_world for each in measured]),
+    )
+
+
+def _movement(setup: LiveSetup, samples: StillSamples) -> str:
+    """Which device moves, in a sentence; empty where all stand still."""
+    for name, points, R in zip(
+        setup.marker_names,
+        samples.positions_world.swapaxes(0, 1),
+        samples.R_world_marker.swapaxes(0, 1),
+        strict=True,
+    ):
+        points = points[np.isfinite(points).all(-1)]
+        moved = np.sqrt(np.sum(np.var(points, 0))) if len(points) else 0.0
+        if moved > STILL_M:
+            return f"{name} moved by {100 * moved:.0f} cm"
+        R = R[np.isfinite(R).all((1, 2))]
+        if len(R):
+            each = Rotation.from_matrix(R)
+            turned = np.degrees(np.sqrt(np.mean((each.mean().inv() * each).magnitude() ** 2)))
+            if turned > STILL_DEG:
+                return f"{name} turned by {turned:.0f}°"
+    return ""
+
+
+def _mean(samples: StillSamples) -> tuple[np.ndarray, np.ndarray]:
+    """Median positions (M, 3) and mean orientations (M, 3, 3); NaN where there were none."""
+    count = samples.positions_world.shape[1]
+    positions, R_mean = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
+    for i in range(count):
+        points, R = samples.positions_world[:, i], samples.R_world_marker[:, i]
+        points, R = points[np.isfinite(points).all(-1)], R[np.isfinite(R).all((1, 2))]
+        if len(points) >= MIN_SAMPLES:
+            positions[i] = np.median(points, 0)
+        if len(R) >= MIN_SAMPLES:
+            R_mean[i] = Rotation.from_matrix(R).mean().as_matrix()
+    return positions, R_mean
+
+
+def _is_by_height(setup: LiveSetup) -> bool:
+    """Whether height and arms may be measured: neither a static trial nor a file states them."""
+    return not setup.subject or "height" in setup.subject
+
+
+def _put_into(setup: LiveSetup, result: StandingCalibration) -> None:
+    """Write it into the live file; comments and all other keys stay."""
+    path = setup.path
+    text = path.read_text("utf-8")
+    top = tomllib.loads(text)
+    try:
+        for name, entry in top["markers"]["on"].items():
+            if changes := _marker_changes(name, entry, result):
+                text = _with_marker(text, name, {**entry, **changes}, changes)
+        if result.height is not None:
+            text = replace_entries(text, "subject", {"height": _rounded("height", result.height)})
+        if result.lengths:
+            bones = top.get("subject", {}).get("bones", {})
+            lengths = {
+                name: {**bones.get(name, {}), "length": _rounded("length", length)}
+                for name, length in result.lengths.items()
+            }
+            text = replace_entries(text, ("subject", "bones"), lengths)
+    except ValueError as error:
+        lines = "; ".join(_summary(setup, result))
+        raise InputError(path, f"{error}: put the lines in by hand: {lines}") from None
+    write_text(path, text)
+
+
+def _marker_changes(
+    name: str, entry: Mapping[str, Any], result: StandingCalibration
+) -> dict[str, Any]:
+    """What changes of an entry of [markers.on]."""
+    changes: dict[str, Any] = {}
+    if name in result.orientations and entry.get("turn") is not False:
+        changes["turn"] = _rounded("turn", result.orientations[name])
+    if name in result.offsets:
+        changes["offset"] = _rounded("offset", result.offsets[name])
+    return changes
+
+
+def _with_marker(text: str, name: str, entry: Mapping[str, Any], changes: Mapping[str, Any]) -> str:
+    """A marker's entry replaced: a section of its own, or a line of [markers.on]."""
+    try:
+        return replace_entries(text, ("markers", "on", name), changes)
+    except ValueError:
+        return replace_entries(text, ("markers", "on"), {name: dict(entry)})
+
+
+def _rounded(key: str, value: Any) -> Any:
+    return np.round(value, _DECIMALS[key]).tolist()
+
+
+def _summary(setup: LiveSetup, result: StandingCalibration) -> list[str]:
+    """What was measured, a line each."""
+    lines = []
+    if result.height is not None:
+        stated = (setup.subject or {}).get("height")
+        before = f", {stated:g} m before" if isinstance(stated, (int, float)) else ""
+        lines.append(f"height = {_rounded('height', result.height)} m{before}")
+    if result.lengths:
+        arm = sum(length for name, length in result.lengths.items() if name.endswith("_l"))
+        lines.append(f"arms: {100 * arm:.1f} cm from shoulder to wrist")
+    for name in setup.marker_names:
+        measured = []
+        if name in result.orientations:
+            measured.append(f"turn = {toml_value(_rounded('turn', result.orientations[name]))}")
+        if name in result.offsets:
+            measured.append(f"offset = {toml_value(_rounded('offset', result.offsets[name]))}")
+        if measured:
+            lines.append(f"{name}: {', '.join(measured)}")
+    return [*lines, *(f"warning: {each}" for each in result.warnings), f"written  {setup.path}"]
+
+
+def _figures(result: StandingCalibration) -> dict[str, Any]:
+    return {
+        "height_m": result.height,
+        "lengths_m": dict(result.lengths),
+        "turn_wxyz": {name: list(each) for name, each in result.orientations.items()},
+        "offset_m": {name: list(each) for name, each in result.offsets.items()},
+        "warnings": list(result.warnings),
+    }
