@@ -92,6 +92,14 @@ def inner_corners(text: str) -> tuple[int, int]:
     return int(columns), int(rows)
 
 
+def picture_size(text: str) -> tuple[int, int]:
+    """WIDTHxHEIGHT of pictures."""
+    width, _, height = text.lower().partition("x")
+    if not (_is_whole(width) and _is_whole(height) and int(width) and int(height)):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected pixels such as 1920x1080")
+    return int(width), int(height)
+
+
 def charuco_markers(text: str) -> tuple[str, float]:
     """DICTIONARY,METRES of a ChArUco board's markers."""
     dictionary, _, side = text.partition(",")

@@ -1,8 +1,8 @@
 """One file made into another, between formats that carry the same thing.
 
-INPUTS: a file of markers (.c3d, .trc, .csv) or of a motion (.npz, .bvh, .glb, .mot).
-OUTPUTS: another of the same kind, or the joints of a motion as markers; what was left out or added
-on the way, as sentences.
+INPUTS: a file of markers (.c3d, .trc, .csv) or of a motion (.npz, .bvh, .glb, .mot), or a
+calibration of another system. OUTPUTS: another of the same kind, or the joints of a motion as
+markers, or a calibration (.toml); what was left out or added on the way, as sentences.
 
 Markers keep the axes of their file. Motions are Y up in .bvh and .glb and Z up elsewhere, and are
 rotated; joints made from them are Z up, as ``joints.trc`` is.
@@ -27,6 +27,7 @@ from jaxmocap.formats.armatures.armature import (
 )
 from jaxmocap.formats.armatures.body_armature import armature_of, motion_of
 from jaxmocap.formats.armatures.joint_names import CONVENTIONS, landmark_names, names_to_ours
+from jaxmocap.formats.calibrations.registry import convert_calibration
 from jaxmocap.formats.conversion.resampling import (
     even_times,
     resampled_armature,
@@ -45,6 +46,8 @@ from jaxmocap.formats.time_series.trc import write_trc
 
 MARKER_SUFFIXES = (".c3d", ".trc", ".csv")
 MOTION_SUFFIXES = (".npz", ".bvh", ".glb", ".mot")
+# Of a calibration that is written; its source is known by its content.
+CALIBRATION_SUFFIX = ".toml"
 
 
 @dataclass(frozen=True)
@@ -55,10 +58,13 @@ class ConversionOptions:
         names: convention of the joints' names, one of ``CONVENTIONS``; None is customary for the
             target, or what the source says.
         unit: of the BVH file, of the one written if both are; None is metres when written, inferred
-            by the body's size when read.
+            by the body's size when read. Of a calibration that does not state its own.
         rate: samples per second of the target; None keeps the source's times.
         body: file whose skeleton the angles of a .mot are of; None where the source has one.
         angles: of the .mot written, ``hinges`` or ``isb``; None is hinges.
+        source_up: axis of a calibration's world that points up, a key of
+            ``calibrations.registry.R_WORLD_OF_SOURCE_UP``; None is what its system documents.
+        size: width and height of the pictures, pixels, of a calibration that does not state them.
     """
 
     names: str | None = None
@@ -66,6 +72,8 @@ class ConversionOptions:
     rate: float | None = None
     body: Path | None = None
     angles: str | None = None
+    source_up: str | None = None
+    size: tuple[int, int] | None = None
 
 
 @dataclass
@@ -92,10 +100,14 @@ def convert_file(
     """
     conversion = _Conversion(Path(source), Path(target), options or ConversionOptions())
     kinds = [path.suffix.lower() for path in (conversion.source, conversion.target)]
+    if kinds[1] == CALIBRATION_SUFFIX:
+        return _convert_calibration(conversion)
     for path, kind in zip((conversion.source, conversion.target), kinds, strict=True):
         if kind not in (*MARKER_SUFFIXES, *MOTION_SUFFIXES):
             expected = ", ".join((*MARKER_SUFFIXES, *MOTION_SUFFIXES))
-            raise InputError(path, f"unknown suffix {kind!r}, expected one of {expected}")
+            calibration = f"a calibration is made into {CALIBRATION_SUFFIX}"
+            problem = f"unknown suffix {kind!r}, expected one of {expected} ({calibration})"
+            raise InputError(path, problem)
     if kinds[0] in MARKER_SUFFIXES and kinds[1] in MOTION_SUFFIXES:
         content = "positions of markers, not orientations of bones"
         problem = f"cannot be made from {conversion.source}: {content}"
@@ -120,6 +132,8 @@ def _check_options(conversion: _Conversion, source: str, target: str) -> None:
         "--body": options.body and source != ".mot",
         "--names": options.names and (source in MARKER_SUFFIXES or target in (".npz", ".mot")),
         "--angles": options.angles and target != ".mot",
+        "--source-up": options.source_up,
+        "--size": options.size,
     }
     for option, given in useless.items():
         if given:
@@ -127,6 +141,17 @@ def _check_options(conversion: _Conversion, source: str, target: str) -> None:
     if source == ".mot" and options.body is None:
         problem = "holds angles without bones: name a file with the same body"
         raise InputError(conversion.source, f"{problem} (--body motion.npz)")
+
+
+def _convert_calibration(conversion: _Conversion) -> list[str]:
+    """Another system's calibration made into ours; InputError for an option about other files."""
+    options = conversion.options
+    for name in ("names", "rate", "body", "angles"):
+        if getattr(options, name) is not None:
+            raise InputError(conversion.source, f"--{name} does not apply to a calibration")
+    return convert_calibration(
+        conversion.source, conversion.target, options.unit, options.source_up, options.size
+    )
 
 
 def _read_markers(conversion: _Conversion) -> Markers:

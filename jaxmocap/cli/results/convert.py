@@ -1,19 +1,23 @@
-"""``jaxmocap convert``: a file of markers or of a motion in another format.
+"""``jaxmocap convert``: a file of markers, of a motion or a calibration in another format.
 
-INPUTS: a file. OUTPUTS: another file; warnings of what its format cannot hold.
+INPUTS: a file, or a folder with a calibration. OUTPUTS: another file; warnings of what its format
+cannot hold.
 """
 
 import argparse
 from pathlib import Path
 
 from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import positive_number
+from jaxmocap.cli.option_types import picture_size, positive_number
 from jaxmocap.cli.reporting import print_lines
 
 FORMATS_TEXT = """\
 Markers: .c3d .trc .csv. Motions: .npz .bvh .glb .mot; their joints can become markers. What a
 format cannot hold is left out, with a warning. .bvh and .glb are Y up, facing Z, their rest pose a
-T with the arms out to the sides; joints made of them are Z up. Markers keep their file's axes."""
+T with the arms out to the sides; joints made of them are Z up. Markers keep their file's axes.
+
+Calibrations of Qualisys, Vicon, Motive, OpenCap, EasyMocap, Caliscope, FreeMoCap and anipose become
+.toml: metres, Z up (jaxmocap help calibrate)."""
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +33,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "--unit",
         choices=("m", "cm", "mm", "in"),
         help="of the .bvh (the one written, if both are), which does not say; default: metres when "
-        "written, inferred from the body's size when read",
+        "written, inferred from the body's size when read; of a calibration that does not say",
     )
     parser.add_argument(
         "--rate",
@@ -46,6 +50,17 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         help="of the .mot written: the skeleton's hinges, from which the motion can be read again, "
         "or joint angles by ISB's conventions; default: hinges",
     )
+    parser.add_argument(
+        "--source-up",
+        choices=("z", "y", "minus-y", "minus-z"),
+        help="axis of a calibration that points up; default: its system's",
+    )
+    parser.add_argument(
+        "--size",
+        metavar="WxH",
+        type=picture_size,
+        help="pixels of the pictures, of a calibration that does not say",
+    )
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -55,7 +70,13 @@ def _run(options: argparse.Namespace) -> None:
     body = [] if options.body is None else [options.body]
     check_target(options.target, [options.source, *body])
     conversion = ConversionOptions(
-        options.names, options.unit, options.rate, options.body, options.angles
+        options.names,
+        options.unit,
+        options.rate,
+        options.body,
+        options.angles,
+        source_up=options.source_up,
+        size=options.size,
     )
     warnings = convert_file(options.source, options.target, conversion)
     print_lines([*warnings, f"written  {options.target}"])

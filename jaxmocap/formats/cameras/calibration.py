@@ -103,9 +103,9 @@ def read_intrinsics(path: str | Path, name: str) -> Intrinsics:
     path = Path(path)
     sections = _sections(path)
     if path.suffix.lower() in YAML_SUFFIXES:
-        return _intrinsics(TomlTable(path, "", next(iter(sections.values()))))
+        return read_lens(TomlTable(path, "", next(iter(sections.values()))))
     table = pick_camera(path, sections, name)
-    return _intrinsics(TomlTable(path, f"[{name}]", table))
+    return read_lens(TomlTable(path, f"[{name}]", table))
 
 
 def _sections(path: Path) -> dict[str, Any]:
@@ -123,20 +123,36 @@ def pick_camera(path: str | Path, cameras: Mapping[str, _Section], name: str) ->
 
 
 def _camera(fields: TomlTable, origin_world: np.ndarray) -> Camera:
-    lens = _intrinsics(fields)
+    lens = read_lens(fields)
+    R_cam_world, translation = read_place(fields)
+    # In double precision, before a camera has it in single.
+    translation = translation + R_cam_world @ origin_world
+    size = (lens.size[0], lens.size[1])
+    return Camera.create(size, lens.matrix, lens.distortions, R_cam_world, translation, lens.model)
+
+
+def read_place(fields: TomlTable, unit: str = "metres") -> tuple[np.ndarray, np.ndarray]:
+    """Where a camera's section places it.
+
+    Args:
+        fields: of the section.
+        unit: of its translation, for messages.
+
+    Returns:
+        R_cam_world (3, 3), exactly a rotation, and the translation (3,), world to camera, as it is.
+
+    Raises:
+        InputError: a field is missing, or is no rotation or translation.
+    """
     for key in ("rotation", "translation"):
         if key not in fields:
             raise fields.error("", f"{key!r} is missing (jaxmocap calibrate extrinsics finds it)")
-    translation = fields.array("translation", [(3,)], "3 numbers in metres", FARTHEST_M)
-    size = (lens.size[0], lens.size[1])
-    rotation = _rotation(fields)
-    # In double precision, before a camera has it in single.
-    R = rotation if rotation.ndim == 2 else Rotation.from_rotvec(rotation).as_matrix()
-    translation = translation + R @ origin_world
-    return Camera.create(size, lens.matrix, lens.distortions, rotation, translation, lens.model)
+    translation = fields.array("translation", [(3,)], f"3 numbers in {unit}", FARTHEST_M)
+    return _rotation(fields), translation
 
 
-def _intrinsics(fields: TomlTable) -> Intrinsics:
+def read_lens(fields: TomlTable) -> Intrinsics:
+    """The intrinsics in a camera's section; InputError where they are missing or do not fit."""
     size = fields.array("size", [(2,)], "[width, height] in pixels", LARGEST_SIZE)
     if (size < 1).any():
         raise fields.error("size", f"found {size.tolist()}, expected two positive numbers")
@@ -176,9 +192,16 @@ def _matrix(fields: TomlTable) -> np.ndarray:
 def _rotation(fields: TomlTable) -> np.ndarray:
     expected = "a Rodrigues vector of 3 numbers or a 3 × 3 rotation matrix"
     rotation = fields.array("rotation", [(3,), (3, 3)], expected, LARGEST_ROTATION)
-    if rotation.ndim == 2 and (not is_orthonormal(rotation) or np.linalg.det(rotation) < 0):
+    if rotation.ndim == 1:
+        return Rotation.from_rotvec(rotation).as_matrix()
+    if not is_rotation(rotation):
         raise fields.error("rotation", "found a 3 × 3 matrix that is not a rotation")
-    return rotation
+    return Rotation.from_matrix(rotation).as_matrix()
+
+
+def is_rotation(matrix: np.ndarray) -> bool:
+    """Is a (3, 3) matrix a rotation, as far as files print it?"""
+    return is_orthonormal(matrix) and bool(np.linalg.det(matrix) > 0)
 
 
 def is_orthonormal(matrix: np.ndarray) -> bool:
@@ -193,14 +216,13 @@ def write_calibration(path: str | Path, cameras: dict[str, Camera]) -> None:
         path: of the file.
         cameras: section -> Camera.
     """
-    tables = []
+    sections = {}
     for name, camera in cameras.items():
         distortion = np.asarray(camera.distortion, float)
         # Four coefficients where that is all, as most readers expect them; a fisheye has four.
         count = 4 if not distortion[4:].any() else 5 if not distortion[5:].any() else 8
         T_cam_world = np.asarray(camera.T_cam_world, float)
-        entries = {
-            "name": name,
+        sections[name] = {
             "size": np.asarray(camera.size, float),
             "matrix": np.asarray(camera.matrix, float),
             "distortions": distortion[:count],
@@ -208,8 +230,18 @@ def write_calibration(path: str | Path, cameras: dict[str, Camera]) -> None:
             "translation": T_cam_world[:3, 3],
             "fisheye": camera.lens == FISHEYE,
         }
-        tables.append((f"[{toml_key(name)}]", entries))
-    write_toml(path, tables)
+    write_sections(path, sections)
+
+
+def write_sections(path: str | Path, sections: Mapping[str, Mapping[str, Any]]) -> None:
+    """Write a calibration file of each camera's entries, in double precision.
+
+    Args:
+        path: of the file.
+        sections: camera -> ``Intrinsics.entries()``, rotation and translation (metres).
+    """
+    write_toml(path, [(f"[{toml_key(name)}]", {"name": name, **entries})
+                      for name, entries in sections.items()])  # fmt: skip
 
 
 def write_camera(path: str | Path, name: str, entries: Mapping[str, Any]) -> None:

@@ -20,7 +20,7 @@ _NAMES = {
     "rotation": ("rvec", "R", "rotation"),
     "translation": ("tvec", "T", "translation"),
 }
-_ENTRY = re.compile(r"(\s*)([\w.]+)\s*:\s*(.*)")
+_ENTRY = re.compile(r"(\s*)([\w.-]+)\s*:\s*(.*)")
 _TAGS = ("!!opencv-matrix", "!!opencv-nd-matrix")
 _MATRIX = ("rows", "cols", "sizes", "dt", "data")
 
@@ -32,7 +32,7 @@ def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
         InputError: no such file, not of this kind, or a matrix whose numbers do not fit.
     """
     path = Path(path)
-    entries = _entries(path)
+    entries = read_entries(path)
     table: dict[str, Any] = {"fisheye": _is_fisheye(entries)}
     if "image_width" in entries and "image_height" in entries:
         table["size"] = [
@@ -42,7 +42,7 @@ def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
     for field, names in _NAMES.items():
         for name in names:
             if name in entries:
-                table[field] = _matrix(path, name, entries[name], flat=field != "matrix")
+                table[field] = matrix_of(path, name, entries[name], flat=field != "matrix")
                 break
     if "matrix" not in table:
         raise InputError(path, "found no camera_matrix, expected a calibration in OpenCV's YAML")
@@ -50,8 +50,12 @@ def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
     return {(name.strip("\"'") if isinstance(name, str) else "") or path.stem: table}
 
 
-def _entries(path: Path) -> dict[str, Any]:
-    """Top-level keys: text as it stands, or a dict of text where indented keys follow."""
+def read_entries(path: Path) -> dict[str, Any]:
+    """Top-level keys: text as it stands, or a dict of text where indented keys follow.
+
+    Raises:
+        InputError: no such file, or a line that is not of OpenCV's YAML.
+    """
     entries: dict[str, Any] = {}
     inside: dict[str, Any] | None = None
     # Where data that goes on belongs: a key's lines, joined at the end.
@@ -96,8 +100,18 @@ def _number_or_text(text: Any) -> Any:
         return text
 
 
-def _matrix(path: Path, name: str, entry: Any, flat: bool) -> list:
-    """Numbers of a matrix: rows of them, or flat where it is a vector by its nature."""
+def matrix_of(path: Path, name: str, entry: Any, flat: bool) -> list:
+    """Numbers of a matrix: rows of them, or flat where it is a vector by its nature.
+
+    Args:
+        path: of the file, for messages.
+        name: of the entry, for messages.
+        entry: as ``read_entries`` has it.
+        flat: whether it is a vector where it has one row or one column.
+
+    Raises:
+        InputError: it is not a complete matrix.
+    """
     fields = entry if isinstance(entry, dict) else {}
     text = fields.get("data", "").strip()
     try:
