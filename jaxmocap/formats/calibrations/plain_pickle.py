@@ -9,6 +9,7 @@ from its bytes.
 """
 
 import pickletools
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,19 +80,26 @@ def read_plain_pickle(path: Path, content: bytes) -> Any:
     if len(content) > MAX_PICKLE_BYTES:
         most = f"{MAX_PICKLE_BYTES / 2**20:g} MB"
         raise InputError(path, f"found {len(content)} bytes of a pickle, expected at most {most}")
-    machine = _Machine()
     try:
-        for opcode, argument, _ in pickletools.genops(content):
-            if opcode.name == "STOP":
-                return _plain(machine.stack[-1])
-            machine.step(opcode.name, argument)
+        # Of Python's about escapes in texts that make no sense.
+        with warnings.catch_warnings(action="ignore"):
+            return _interpreted(content)
     except _RefusedError as error:
         expected = "expected a calibration of plain numbers"
         raise InputError(path, f"the pickle holds {error}, {expected}") from None
     # A broken file breaks any of the steps.
     except Exception:
         raise InputError(path, "not a complete pickle, or cut off") from None
-    raise InputError(path, "not a complete pickle, or cut off")
+
+
+def _interpreted(content: bytes) -> Any:
+    """What is on the stack at the end."""
+    machine = _Machine()
+    for opcode, argument, _ in pickletools.genops(content):
+        if opcode.name == "STOP":
+            break
+        machine.step(opcode.name, argument)
+    return _plain(machine.stack[-1])
 
 
 class _Machine:

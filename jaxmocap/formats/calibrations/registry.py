@@ -49,6 +49,8 @@ R_WORLD_OF_SOURCE_UP = R_WORLD_OF_UP | {
 # Metres: cameras of one room stand nearer to its origin, so a unit that was assumed is wrong.
 FARTHEST_ASSUMED_M = 200.0
 MAX_CAMERAS = 1000
+# Cosine between the picture's downward axis and the world's, of a camera that looks steeply down.
+LEAST_UPRIGHT = 0.2
 
 
 @dataclass(frozen=True)
@@ -209,4 +211,12 @@ def _sentences(
         sentences.append(f"assumed: lengths are in {calibration.unit} (--unit states otherwise)")
     if up is None and calibration.assumed_up:
         sentences.append(f"assumed: {calibration.assumed_up} (--source-up states otherwise)")
+        if not any(_is_upright(camera, calibration.up) for camera in calibration.cameras):
+            sentences.append("warning: no camera's picture is upright then, is another axis up?")
     return sentences
+
+
+def _is_upright(camera: SourceCamera, up: str) -> bool:
+    """Does what the world has below appear further down in the picture?"""
+    up_source = R_WORLD_OF_SOURCE_UP[up][2]
+    return float(camera.R_cam_source[1] @ up_source) < -LEAST_UPRIGHT

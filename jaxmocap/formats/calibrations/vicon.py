@@ -14,10 +14,10 @@ k1 k2 about the principal point. OpenCV's takes ideal points to distorted ones. 
 fitted over the whole picture, and a note states what the fit leaves.
 """
 
-import warnings
+from contextlib import suppress
 
 import numpy as np
-from scipy.optimize import OptimizeWarning, least_squares
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.formats.calibrations.source import (
@@ -35,6 +35,8 @@ from jaxmocap.geometry.lenses import BROWN_CONRADY, LENSES
 
 # Pixels: a fit that leaves more anywhere in the picture does not describe the lens.
 LARGEST_RESIDUAL = 0.5
+# Below this, less than such a calibration is good to, the five usual coefficients are enough.
+SMALL_RESIDUAL = 0.1
 # Points across and down the picture, its edges included.
 GRID = (33, 25)
 UNIT_TOLERANCE = 1e-3
@@ -146,25 +148,25 @@ def fitted_lens(
         matrix: (3, 3) intrinsic matrix.
 
     Returns:
-        k1 k2 p1 p2 k3 k4 k5 k6, and the largest distance that they leave, pixels.
+        k1 k2 p1 p2 k3, with k4 k5 k6 where the lens needs them, else 0; and the largest distance
+        that they leave, pixels.
     """
-    target = (pixels - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
+    focal, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2]
     x, y = plane.T
 
     def differences(k: np.ndarray) -> np.ndarray:
-        return np.stack(LENSES[BROWN_CONRADY].distort(k, x, y), -1) - target
+        return np.stack(LENSES[BROWN_CONRADY].distort(k, x, y), -1) * focal + centre - pixels
 
-    if not differences(np.zeros(8)).any():
-        return np.zeros(8), 0.0
-    start = np.append(_polynomial(x, y, target), np.zeros(3))
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore", OptimizeWarning)
-        try:
-            k = least_squares(lambda k: differences(k).ravel(), start, max_nfev=200).x
-        except ValueError:
-            k = start
-    left = np.linalg.norm(differences(k) * matrix[[0, 1], [0, 1]], axis=1)
-    return k, float(np.nan_to_num(left, nan=np.inf).max())
+    def largest(k: np.ndarray) -> float:
+        left = np.linalg.norm(differences(k), axis=1)
+        return float(np.nan_to_num(left, nan=np.inf).max())
+
+    k = np.append(_polynomial(x, y, (pixels - centre) / focal), np.zeros(3))
+    with np.errstate(all="ignore"):
+        if largest(k) > SMALL_RESIDUAL:
+            with suppress(ValueError):
+                k = least_squares(lambda k: differences(k).ravel(), k, max_nfev=200).x
+        return k, largest(k)
 
 
 def _polynomial(x: np.ndarray, y: np.ndarray, target: np.ndarray) -> np.ndarray:
