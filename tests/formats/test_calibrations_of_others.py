@@ -27,8 +27,8 @@ from calibrations_of_others import (
 )
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.cli import main
-from jaxmocap.formats.calibrations.registry import convert_calibration
+from jaxmocap.cli import main, make_parser
+from jaxmocap.formats.calibrations.registry import R_WORLD_OF_SOURCE_UP, convert_calibration
 from jaxmocap.formats.cameras.calibration import read_calibration
 from jaxmocap.formats.files.errors import InputError
 
@@ -195,6 +195,32 @@ def test_one_camera_in_opencvs_yaml_becomes_a_section(tmp_path):
     file.release()
     convert_calibration(path, tmp_path / "ours.toml")
     assert farthest(tmp_path / "ours.toml", by_opencv, {"left": camera}) < CLOSE
+
+
+def test_every_axis_that_can_be_stated_becomes_the_worlds_z():
+    (action,) = [each for each in make_parser()._subparsers._group_actions[0].choices[
+        "convert"]._actions if each.dest == "source_up"]  # fmt: skip
+    assert set(action.choices) == set(R_WORLD_OF_SOURCE_UP)
+    for name, R in R_WORLD_OF_SOURCE_UP.items():
+        up = np.eye(3)["xyz".index(name[-1])] * (-1 if name.startswith("minus") else 1)
+        np.testing.assert_allclose(R @ up, [0, 0, 1])
+        np.testing.assert_allclose(R @ R.T, np.eye(3))
+        assert np.linalg.det(R) > 0
+
+
+def test_what_a_system_leaves_open_is_said(tmp_path):
+    """A camera that is not calibrated, a picture that was rotated, a square of no entered size."""
+    source, _ = qualisys(tmp_path, CAMERAS)
+    text = source.read_text().replace('calibrated="true"', 'calibrated="false"', 1)
+    source.write_text(text.replace('viewrotation="0"', 'viewrotation="90"'))
+    notes = convert_calibration(source, tmp_path / "ours.toml")
+    assert list(read_calibration(tmp_path / "ours.toml")) == ["cam_2", "cam_3"]
+    assert "left out: not calibrated: cam_1" in notes
+    assert any(note.startswith("viewrotation: cam_2, cam_3: ") for note in notes)
+    source, _ = freemocap(tmp_path, CAMERAS)
+    source.write_text(source.read_text().replace("size = 58.0", "size = 1"))
+    notes = convert_calibration(source, tmp_path / "ours.toml")
+    assert any("charuco_square_size is 1" in note for note in notes)
 
 
 def test_freemocap_without_a_ground_plane_takes_the_first_camera_as_level(tmp_path):

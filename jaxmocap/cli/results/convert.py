@@ -52,7 +52,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--source-up",
-        choices=("z", "y", "minus-y", "minus-z"),
+        choices=("x", "y", "z", "minus-x", "minus-y", "minus-z"),
         help="axis of a calibration that points up; default: its system's",
     )
     parser.add_argument(

@@ -43,6 +43,8 @@ from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 # "minus-y" is what Pose2Sim does with OpenCap's: world = (-x, -z, -y).
 R_WORLD_OF_SOURCE_UP = R_WORLD_OF_UP | {
+    "x": np.eye(3)[[1, 2, 0]],
+    "minus-x": -np.eye(3)[[2, 1, 0]],
     "minus-y": -np.eye(3)[[0, 2, 1]],
     "minus-z": np.diag([1.0, -1.0, -1.0]),
 }
@@ -109,7 +111,9 @@ def convert_calibration(
     system = next((each for each in FORMATS if each.recognises(opened)), None)
     if system is None:
         names = ", ".join(each.name for each in FORMATS)
-        raise InputError(source, f"found no calibration that is known, expected one of {names}")
+        raise InputError(
+            source, f"found no calibration that is recognised, expected one of {names}"
+        )
     calibration = system.read(opened)
     _check_names(source, calibration)
     _check_options(source, calibration, unit, size)

@@ -140,7 +140,7 @@ def _pairs(frame: TomlTable, matrix: np.ndarray, size: np.ndarray) -> tuple[np.n
 def fitted_lens(
     pixels: np.ndarray, plane: np.ndarray, matrix: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """OpenCV's coefficients of a lens that is known by points.
+    """OpenCV's coefficients of a lens that is given by points.
 
     Args:
         pixels: (N, 2) distorted points, pixels.
