@@ -4,10 +4,22 @@ INPUTS: a folder. OUTPUTS: files in it, and in folders named as ``hostile_kinds`
 """
 
 import json
+import pickle
 from pathlib import Path
 
 import cv2
 import numpy as np
+from calibrations_of_others import (
+    anipose,
+    caliscope,
+    easymocap,
+    freemocap,
+    motive,
+    opencap_table,
+    place,
+    qualisys,
+    vicon,
+)
 from drawn_boards import BOARD, LENS, draw, views
 from scipy.spatial.transform import Rotation
 from small_recording import HEIGHT, PLACES, small_recording, write_small_recording
@@ -128,6 +140,7 @@ def write_bases(folder: Path) -> None:
     _write_motions(folder)
     _write_pictures(folder)
     _write_key_points(folder)
+    _write_calibrations(folder)
     _write_people(folder / "people.npz")
     (folder / "cam.yml").write_text(YAML, encoding="utf-8")
     (folder / "rich.toml").write_text(RICH, encoding="utf-8")
@@ -254,6 +267,17 @@ def _write_pictures(folder: Path) -> None:
     ]
     rows.append("p5,0.2,3.5,-0.1,178,129")
     (folder / "points.csv").write_text("name,x,y,z,u,v\n" + "\n".join(rows) + "\n")
+
+
+def _write_calibrations(folder: Path) -> None:
+    """Calibrations as other systems write them."""
+    cameras = {f"cam_{i}": place(i) for i in (1, 2)}
+    for write in (qualisys, vicon, motive, easymocap, caliscope, freemocap, anipose):
+        write(folder, cameras)
+    # Its text mutates as any other's.
+    text = (folder / "lab.mcal").read_bytes().decode("utf-16").replace("UTF-16LE", "UTF-8")
+    (folder / "lab.mcal").write_text(text, encoding="utf-8")
+    (folder / "cam.pickle").write_bytes(pickle.dumps(opencap_table(place(1))))
 
 
 def _write_key_points(folder: Path) -> None:

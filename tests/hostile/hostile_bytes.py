@@ -10,6 +10,7 @@ import tomllib
 import zlib
 from collections.abc import Callable
 from itertools import islice
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from hostile_values import (
@@ -303,6 +304,32 @@ def yaml_changed(rng: np.random.Generator, content: bytes) -> Mutated:
         "deep": text + "a: " + "[" * 100_000 + "\n",
         "many": text + "".join(f"k{i}: {i}\n" for i in range(50_000)),
         "colons": text + "a" + ": a" * 20_000 + "\n",
+    }
+    name = str(rng.choice(list(ways)))
+    return ways[name].encode(), name
+
+
+def xml_changed(rng: np.random.Generator, content: bytes) -> Mutated:
+    """Attributes with other values, and what XML can do and no calibration does."""
+    text = content.decode()
+    values = list(re.finditer(r'="[^"]*"', text))
+    at = values[rng.integers(len(values))]
+    if rng.random() < 0.6:
+        held = hostile_number(rng) if rng.random() < 0.7 else hostile_text(rng)
+        changed = f"{text[: at.start()]}={quoteattr(held)}{text[at.end() :]}"
+        return changed.encode(errors="surrogatepass"), f"a value {brief(held)}"
+    grown = "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12))
+    tag = re.sub(r"\W.*", "", text.lstrip("<"), flags=re.DOTALL)
+    ways = {
+        "entities": f'<!DOCTYPE {tag} [<!ENTITY a0 "a">{grown}]>'
+        + text.replace('="', '="&a11;', 1),
+        "a file": f'<!DOCTYPE {tag} [<!ENTITY x SYSTEM "file:///etc/passwd">]>{text}',
+        "deep": text.replace("</", "<a>" * 50_000 + "</", 1),
+        "attributes": text[: at.end()]
+        + "".join(f' b{i}="1"' for i in range(100_000))
+        + text[at.end() :],
+        "spaces": text[: at.start()] + '="' + "1 " * 500_000 + '"' + text[at.end() :],
+        "namespace": text.replace(f"<{tag}", f'<{tag} xmlns="urn:a"', 1),
     }
     name = str(rng.choice(list(ways)))
     return ways[name].encode(), name

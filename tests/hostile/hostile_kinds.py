@@ -25,11 +25,14 @@ from hostile_bytes import (
     png_changed,
     toml_changed,
     toml_deep,
+    word_changed,
+    xml_changed,
     yaml_changed,
 )
 
 ROWS = (*TEXT, gap)
 JSON = (json_changed, json_changed, json_deep, *TEXT)
+XML = (xml_changed, xml_changed, *TEXT)
 PNG = (png_changed, png_changed, png_bomb)
 # Suffix -> mutations of such files, beside those of any file's bytes.
 MUTATIONS: dict[str, tuple[Mutation, ...]] = {
@@ -43,6 +46,10 @@ MUTATIONS: dict[str, tuple[Mutation, ...]] = {
     ".bvh": (bvh_changed, bvh_changed, *TEXT),
     ".yml": (yaml_changed, yaml_changed, *TEXT),
     ".c3d": (c3d_changed, c3d_changed),
+    ".txt": XML,
+    ".xcp": XML,
+    ".mcal": XML,
+    ".pickle": (word_changed,),
     ".png": PNG,
     ".jpg": (jpeg_changed, jpeg_changed),
     ".mp4": (boxes_changed, boxes_changed, boxes_changed),
@@ -128,6 +135,25 @@ KINDS = (
     Kind(
         "OpenCV's YAML", ("cam.yml",),
         ("check in/yaml.toml",), also=("yaml.toml", "markers.trc", "cam.mp4"),
+    ),
+    Kind(
+        "XML calibrations", ("lab.qca.txt", "lab.xcp", "lab.mcal"),
+        ("convert in/lab.qca.txt out/made.toml", "convert in/lab.xcp out/made.toml",
+         "convert in/lab.mcal out/made.toml"),
+    ),
+    Kind(
+        "pickled calibration", ("cam.pickle",), ("convert in/cam.pickle out/made.toml",),
+    ),
+    Kind(
+        "EasyMocap's calibration", ("intri.yml", "extri.yml"),
+        ("convert in/intri.yml out/made.toml --size 1920x1080",
+         "convert in/extri.yml out/made.toml --size 1920x1080 --unit mm --source-up y"),
+        also=("intri.yml", "extri.yml"),
+    ),
+    Kind(
+        "TOML calibrations", ("camera_array.toml", "sesh_camera_calibration.toml", "anipose.toml"),
+        ("convert in/camera_array.toml out/made.toml", "convert in/anipose.toml out/made.toml",
+         "convert in/sesh_camera_calibration.toml out/made.toml"),
     ),
     Kind(
         "points", ("points.csv",), (f"{POINTS} --intrinsics in/lens.toml",),

@@ -183,7 +183,10 @@ def _section(
     )
     R_cam_world = camera.R_cam_source @ R_world_source.T
     place = {"rotation": R_cam_world, "translation": camera.t_cam_source * in_metres}
-    fields = TomlTable(source, camera_place(camera.name), lens.entries() | place)
+    # As lists: messages show them as files do.
+    table = {key: each.tolist() if isinstance(each, np.ndarray) else each
+             for key, each in (lens.entries() | place).items()}  # fmt: skip
+    fields = TomlTable(source, camera_place(camera.name), table)
     lens = read_lens(fields)
     R_cam_world, translation = read_place(fields)
     if abs(lens.matrix[1, 0]) > 0:
