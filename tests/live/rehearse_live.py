@@ -192,13 +192,23 @@ def started(*arguments: object, **options) -> subprocess.Popen:
 # What was received -------------------------------------------------------------------------------
 
 
-def sent_markers(packet: bytes) -> tuple[float, np.ndarray] | None:
-    """When a bundle says that it is, and where (3, 3) head and hands would carry the markers.
+def sent_frames(kept) -> list[tuple[float, list]]:
+    """When each frame's last bundle came, and the frame's messages; that bundle has the time."""
+    frames, messages = [], []
+    for at, packet in zip(kept["times"], kept["packets"], strict=True):
+        messages += [timed.message for timed in OscPacket(packet).messages]
+        if messages[-1].address == "/VMC/Ext/T":
+            frames.append((at, messages))
+            messages = []
+    return frames
+
+
+def sent_markers(messages: list) -> tuple[float, np.ndarray] | None:
+    """When a frame says that it is, and where (3, 3) head and hands would carry the markers.
 
     By what a receiver gets: bones' places and turns in their parents. In Unity's T pose the hands
     reach out along x; the markers sit as the file of the live run says.
     """
-    messages = [timed.message for timed in OscPacket(packet).messages]
     bones = {m.params[0]: m.params[1:] for m in messages if m.address == "/VMC/Ext/Bone/Pos"}
     if not bones:
         return None
@@ -215,7 +225,7 @@ def sent_markers(packet: bytes) -> tuple[float, np.ndarray] | None:
             numbers = bones[bone]
             place, turn = place + turn.apply(numbers[:3]), turn * Rotation.from_quat(numbers[3:])
         actual.append(place + turn.apply(site))
-    return messages[1].params[0], np.array(actual)
+    return messages[-1].params[0], np.array(actual)
 
 
 def arm(side: str) -> tuple[str, ...]:
@@ -371,7 +381,7 @@ def started_reader(stream):
 def check_run(figures: dict, got: Path, logs: list[Path], out: Path) -> None:
     """Assert what must hold, and print what was measured."""
     kept = np.load(got, allow_pickle=True)
-    decoded = [(at, sent_markers(p)) for at, p in zip(kept["times"], kept["packets"], strict=True)]
+    decoded = [(at, sent_markers(messages)) for at, messages in sent_frames(kept)]
     poses = [(at, *actual) for at, actual in decoded if actual is not None]
     received = np.array([at for at, *_ in poses])
     stamps, sent_points = (

@@ -5,28 +5,30 @@
     /tracking/trackers/1/position  position (3), by number or "head"
     /tracking/trackers/1/rotation  degrees (3) about x, y, z; about z first, then x, then y
 
-INPUTS: datagrams, whoever sent them. OUTPUTS: Packets; BadPacketError for what is no OSC, is cut
-off or says what cannot be.
+INPUTS: datagrams, whoever sent them. OUTPUTS: Packets; BadPacketError for what is no OSC or is cut
+off.
 
-Bundles are taken apart here, for python-osc never comes back from one whose element has a negative
-size; messages are read by it.
+Of a message only the arguments that we need are read, whatever follows them. A message that cannot
+be used is ignored without the others of its bundle, as the protocol's specification asks
+(https://protocol.vmc.info/english, "Communication format").
 """
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
-
-from pythonosc.osc_message import OscMessage
-from pythonosc.osc_message import ParseError as MessageError
-from pythonosc.parsing.osc_types import ParseError as TypesError
 
 # Farther from the origin no room is, metres.
 MAX_DISTANCE_M = 100.0
-# Bundles within bundles: more is an attack, as are more messages and longer names.
+# Bundles within bundles: more is an attack, as are more messages and longer names. A datagram has
+# room for some 1800 of the shortest that programs send, an avatar's expressions.
 MAX_DEPTH = 3
-MAX_MESSAGES = 256
+MAX_MESSAGES = 2048
+# Messages about markers.
+MAX_MARKER_MESSAGES = 256
 MAX_NAME_BYTES = 64
+# From here on, after 9 hours, a 32-bit float steps by 4 ms: too coarse for a stamp, seconds.
+COARSE_STAMP_S = 2.0**15
 _BUNDLE = b"#bundle\0"
 _BUNDLE_HEADER_BYTES = 16
 # The time tag that stands for no time.
@@ -38,6 +40,8 @@ _TRACKERS = b"/tracking/trackers/"
 _POSITION = b"/position"
 _ROTATION = b"/rotation"
 _TIME = b"/VMC/Ext/T"
+# Tags of numbers, and how they are packed.
+_NUMBERS = {"i": ">i", "f": ">f", "h": ">q", "d": ">d"}
 
 
 class BadPacketError(Exception):
@@ -65,11 +69,13 @@ class Packet(NamedTuple):
         markers: its markers; none where it is about something else.
         stamp: the sender's seconds, or None where it does not say.
         is_bundle: whether it is a bundle, which holds all that belongs together.
+        ignored: why messages about markers are ignored: "malformed", "absurd"; each once.
     """
 
     markers: tuple[MarkerMessage, ...]
     stamp: float | None
     is_bundle: bool
+    ignored: tuple[str, ...] = ()
 
 
 def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
@@ -80,21 +86,37 @@ def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
         raw: take VMC's devices as tracked (``Pos/Local``) in place of scaled to an avatar.
 
     Raises:
-        BadPacketError: "malformed" or "absurd".
+        BadPacketError: "malformed"; the datagram as a whole.
     """
-    markers, stamp = [], None
+    markers: list[MarkerMessage] = []
+    stamp, ignored, budget = None, set[str](), MAX_MARKER_MESSAGES
     for message in _messages(datagram, MAX_DEPTH):
         address = message[: max(message.find(b"\0"), 0)]
-        if address == _TIME:
-            stamp = _numbers(message, 1, 0)[0]
-        elif address.startswith(_DEVICES) and address.endswith(b"/Pos/Local" if raw else b"/Pos"):
-            markers.append(_device(message, address))
-        elif address.startswith(_TRACKERS) and address.endswith((_POSITION, _ROTATION)):
-            markers.append(_tracker(message, address))
+        read = _reader(address, raw)
+        if read is None and address != _TIME:
+            continue
+        budget -= 1
+        if budget < 0:
+            raise BadPacketError("malformed")
+        try:
+            if read is None:
+                stamp = _stamp(message)
+            else:
+                markers.append(read(message, address))
+        except BadPacketError as why:
+            ignored.add(str(why))
     is_bundle = datagram.startswith(_BUNDLE)
-    return Packet(
-        tuple(markers), _time_tag(datagram) if stamp is None and is_bundle else stamp, is_bundle
-    )
+    stamp = _time_tag(datagram) if stamp is None and is_bundle else stamp
+    return Packet(tuple(markers), stamp, is_bundle, tuple(sorted(ignored)))
+
+
+def _reader(address: bytes, raw: bool) -> Callable[[bytes, bytes], MarkerMessage] | None:
+    """What reads a message about a marker; None for all others."""
+    if address.startswith(_DEVICES) and address.endswith(b"/Pos/Local" if raw else b"/Pos"):
+        return _device
+    if address.startswith(_TRACKERS) and address.endswith((_POSITION, _ROTATION)):
+        return _tracker
+    return None
 
 
 def _messages(content: bytes, deepest: int, budget: list[int] | None = None) -> Iterator[bytes]:
@@ -119,35 +141,53 @@ def _messages(content: bytes, deepest: int, budget: list[int] | None = None) -> 
         position += 4 + size
 
 
-def _numbers(message: bytes, count: int, texts: int) -> list[float]:
-    """The last ``count`` arguments of a message that has ``texts`` texts before them."""
-    values = _arguments(message)
-    numbers = values[texts:]
-    # VRChat's senders may add more; VMC's later versions do.
-    if len(numbers) < count or not all(isinstance(v, (int, float)) for v in numbers[:count]):
+def _arguments(message: bytes, texts: int, numbers: int) -> tuple[list[str], list[float]]:
+    """The first arguments of a message: so many texts, then so many numbers.
+
+    What follows them is not looked at: later versions, and other senders, add more.
+    """
+    tags, at = _tags(message)
+    if len(tags) < texts + numbers:
         raise BadPacketError("malformed")
-    if not all(map(math.isfinite, numbers[:count])):
+    names, values = [], []
+    for i, tag in enumerate(tags[: texts + numbers]):
+        if i < texts:
+            end = message.find(b"\0", at)
+            if tag != "s" or end < 0:
+                raise BadPacketError("malformed")
+            names.append(message[at:end].decode("utf-8", "replace"))
+            at = (end // 4 + 1) * 4
+        else:
+            packed = _NUMBERS.get(tag)
+            if packed is None or at + struct.calcsize(packed) > len(message):
+                raise BadPacketError("malformed")
+            values.append(float(struct.unpack_from(packed, message, at)[0]))
+            at += struct.calcsize(packed)
+    if not all(map(math.isfinite, values)):
         raise BadPacketError("absurd")
-    return [float(value) for value in numbers[:count]]
+    return names, values
 
 
-def _arguments(message: bytes) -> list:
+def _tags(message: bytes) -> tuple[str, int]:
+    """The tags of a message's arguments, and where these begin."""
     start = (message.find(b"\0") // 4 + 1) * 4
-    tags = message[start : message.find(b"\0", start)]
-    # python-osc writes to the log about every other tag.
-    if not tags.startswith(b",") or not set(tags[1:]) <= set(b"ifhdsTF"):
+    end = message.find(b"\0", start)
+    if end < 0 or message[start : start + 1] != b",":
         raise BadPacketError("malformed")
-    try:
-        return OscMessage(message).params
-    except (MessageError, TypesError, ValueError, struct.error, IndexError):
-        raise BadPacketError("malformed") from None
+    return message[start + 1 : end].decode("ascii", "replace"), (end // 4 + 1) * 4
+
+
+def _stamp(message: bytes) -> float | None:
+    """The sender's seconds; None where they are too coarse to keep a rhythm."""
+    (seconds,) = _arguments(message, 0, 1)[1]
+    is_coarse = _tags(message)[0][0] == "f" and abs(seconds) >= COARSE_STAMP_S
+    return None if is_coarse else seconds
 
 
 def _device(message: bytes, address: bytes) -> MarkerMessage:
     """One of VMC's devices; a headset is called Hmd as well, whatever its serial is."""
-    numbers = _numbers(message, 7, 1)
-    serial = _arguments(message)[0]
-    if not isinstance(serial, str) or len(serial) > MAX_NAME_BYTES:
+    (serial,), numbers = _arguments(message, 1, 7)
+    if len(serial.encode()) > MAX_NAME_BYTES:
         raise BadPacketError("malformed")
     kind = address.split(b"/")[3].decode()
     names = (serial, kind) if kind == "Hmd" else (serial,)
@@ -159,7 +199,7 @@ def _tracker(message: bytes, address: bytes) -> MarkerMessage:
     number, _, kind = address[len(_TRACKERS) :].rpartition(b"/")
     if len(number) > MAX_NAME_BYTES:
         raise BadPacketError("malformed")
-    name, values = number.decode("ascii", "replace"), _numbers(message, 3, 0)
+    name, values = number.decode("ascii", "replace"), _arguments(message, 0, 3)[1]
     if b"/" + kind == _POSITION:
         return MarkerMessage((name,), _position(values))
     return MarkerMessage((name,), None, _euler(values))

@@ -99,15 +99,18 @@ class SampleAssembler:
             messages: its markers.
             time: seconds, when it was sent.
             arrived: seconds, when it came in.
-            is_complete: whether nothing else belongs to it.
+            is_complete: whether nothing else belongs to it; then an orientation of an earlier
+                packet does not count either.
         """
+        found = [(each, self._marker(each)) for each in messages]
         if self._messages and (is_complete or time - self._time > TOGETHER_S):
             self._flush()
-        for each in messages:
-            marker = next((self._index[name] for name in each.names if name in self._index), None)
+        if is_complete:
+            for each, marker in found:
+                if each.position is not None and marker is not None:
+                    self._orientations.pop(marker, None)
+        for each, marker in found:
             if marker is None:
-                if len(self.unknown_names) < self.MAX_UNKNOWN:
-                    self.unknown_names.add(each.names[0])
                 continue
             if each.orientation is not None:
                 self._orientations[marker] = arrived, each
@@ -130,6 +133,13 @@ class SampleAssembler:
     def placed(self) -> set[str]:
         """Markers that have come with a position."""
         return {self._names[i] for i in np.flatnonzero(np.isfinite(self._last_arrivals))}
+
+    def _marker(self, message: MarkerMessage) -> int | None:
+        """The marker that a message is about; names of others are remembered, a few of them."""
+        marker = next((self._index[name] for name in message.names if name in self._index), None)
+        if marker is None and len(self.unknown_names) < self.MAX_UNKNOWN:
+            self.unknown_names.add(message.names[0])
+        return marker
 
     def missing(self, now: float) -> list[str]:
         """Markers that do not come in while others do."""

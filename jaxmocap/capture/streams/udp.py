@@ -46,9 +46,9 @@ class MarkerSocket(Listener):
     """Listens for markers.
 
     Attributes:
-        ignored: why -> how many packets: "malformed", "absurd" (no number, or a place that no room
-            has), "flood" (more than can be read), "foreign" (nothing about markers), "stranger"
-            (from a host that may not send).
+        ignored: why -> how many packets, the whole of them or messages in them: "malformed",
+            "absurd" (no number, or a place that no room has), "flood" (more than can be read),
+            "foreign" (nothing about markers), "stranger" (from a host that may not send).
         packets: that came in.
         last_arrival: when a marker came in last, ``monotonic`` seconds; None before.
         senders: who sends, and their clocks.
@@ -169,8 +169,9 @@ class MarkerSocket(Listener):
         except BadPacketError as why:
             self.ignored[str(why)] += 1
             return
+        self.ignored.update(packet.ignored)
         if not packet.markers:
-            self.ignored["foreign"] += 1
+            self.ignored["foreign"] += not packet.ignored
             return
         self.last_arrival = datagram.arrived
         time = sender.time(datagram.arrived, packet.stamp)

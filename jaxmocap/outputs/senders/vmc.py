@@ -1,9 +1,12 @@
-"""Poses as the Virtual Motion Capture protocol has them: one bundle a frame.
+"""Poses as the Virtual Motion Capture protocol has them: one or two bundles a frame.
 
-    /VMC/Ext/OK       loaded, calibrated, mode, whether the person is tracked
-    /VMC/Ext/T        seconds
-    /VMC/Ext/Root/Pos where the model's root lies: at the world's origin
     /VMC/Ext/Bone/Pos for each bone its name in Unity, position and rotation in its parent
+    /VMC/Ext/Root/Pos where the model's root lies: at the world's origin
+    /VMC/Ext/OK       loaded, calibrated, mode, whether the person is tracked
+    /VMC/Ext/T        seconds; the last of a frame
+
+The last bundle has all but the bones, as VirtualMotionCapture sends them; see
+https://protocol.vmc.info/english.
 
 INPUTS: a Skeleton; poses. OUTPUTS: datagrams.
 
@@ -25,6 +28,8 @@ _LOADED = 1
 _CALIBRATED = 3
 # In the normal mode.
 _MODE = 0
+# Bones in one bundle: more would not fit into 1200 bytes, and networks cut longer datagrams up.
+BONES_IN_BUNDLE = 13
 # No translation, no rotation (xyzw).
 _IDENTITY = [0.0] * 3 + [0.0, 0.0, 0.0, 1.0]
 
@@ -42,19 +47,21 @@ class VMC:
         self.body = UnityBody(skeleton)
         self.names = tuple(_in_unity(joint) for joint in self.body.joints)
         bones = [("/VMC/Ext/Bone/Pos", [name, *_IDENTITY]) for name in self.names]
-        self._tracked = Bundle(
-            [
-                ("/VMC/Ext/OK", [_LOADED, _CALIBRATED, _MODE, 1]),
-                ("/VMC/Ext/T", [0.0]),
-                ("/VMC/Ext/Root/Pos", ["root", *_IDENTITY]),
-                *bones,
-            ]
-        )
+        self._starts = range(0, len(bones), BONES_IN_BUNDLE)
+        status = [
+            ("/VMC/Ext/Root/Pos", ["root", *_IDENTITY]),
+            ("/VMC/Ext/OK", [_LOADED, _CALIBRATED, _MODE, 1]),
+            ("/VMC/Ext/T", [0.0]),
+        ]
+        self._tracked = [
+            Bundle(bones[start : start + BONES_IN_BUNDLE] + status * (start == self._starts[-1]))
+            for start in self._starts
+        ]
         lost = [_LOADED, _CALIBRATED, _MODE, 0]
         self._lost = Bundle([("/VMC/Ext/OK", lost), ("/VMC/Ext/T", [0.0])])
 
-    def frame(self, time: float, pose: Pose) -> tuple[bytes, Joints]:
-        """The bundle of a pose, and the pose's joints in their parents.
+    def frame(self, time: float, pose: Pose) -> tuple[list[bytes], Joints]:
+        """The bundles of a pose, and the pose's joints in their parents.
 
         Args:
             time: seconds since the run began.
@@ -62,7 +69,12 @@ class VMC:
         """
         local = self.body.local(pose)
         bones = np.hstack([local.positions, local.quaternions])
-        return self._tracked.filled(time, np.array(_IDENTITY), bones), local
+        parts: list[list] = [[bones[start : start + BONES_IN_BUNDLE]] for start in self._starts]
+        parts[-1] += [np.array(_IDENTITY), time]
+        datagrams = [
+            bundle.filled(*part) for bundle, part in zip(self._tracked, parts, strict=True)
+        ]
+        return datagrams, local
 
     def lost(self, time: float) -> bytes:
         """The bundle for a moment at which nobody is tracked."""

@@ -200,8 +200,9 @@ class Live:
         self._update_status(now)
 
     def _send(self, output: Output) -> None:
-        datagram, joints = self._vmc.frame(output.time, output.pose)
-        self._to_vmc.send(datagram)
+        datagrams, joints = self._vmc.frame(output.time, output.pose)
+        for datagram in datagrams:
+            self._to_vmc.send(datagram)
         if self._to_vrchat and self._trackers:
             self._to_vrchat.send(self._trackers.frame(joints))
         now = self._now()

@@ -40,7 +40,9 @@ def stream_states(
     if jumps := markers.clock_jumps:
         yield "the sender's clock", f"was set, {tenfold(jumps)} times"
     for why, count in list(markers.ignored.items()):
-        if count:
+        # Who sends markers sends bones, expressions and settings as well: that is worth a line only
+        # while no marker comes.
+        if count and not (why == "foreign" and markers.last_arrival is not None):
             yield f"{why} packets ignored", tenfold(count)
     if markers.refused_hosts:
         hosts = comma_list(sorted(markers.refused_hosts.copy()))
