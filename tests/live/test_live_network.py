@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from test_live_markers import MARKERS, bundle, device, gathering, listening, packet, wait_for
 
-from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.senders import (
     MAX_REFUSED_NAMED,
     MAX_SENDERS,
