@@ -17,6 +17,7 @@ TOPICS = (
     "start_jax",
     "recording_file",
     "live_file",
+    "programs",
     "outputs",
     "calibrate",
     "sync",

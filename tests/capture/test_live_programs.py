@@ -1,7 +1,9 @@
 """Streams as VirtualMotionCapture, SlimeVR and VRChat's trackers have them, taken in."""
 
+import re
 import socket
 import time
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from jaxmocap.capture.streams.osc import parse_packet
 from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
 from jaxmocap.capture.streams.udp import Datagram, MarkerSocket
 from jaxmocap.formats.files.addresses import Address
-from jaxmocap.formats.recordings.live import R_WORLD_UNITY
+from jaxmocap.formats.recordings.live import R_WORLD_UNITY, load_live
 
 RATE, FRAMES = 90.0, 40
 SERIALS = {"Hmd": "LHR-ヘッド", "Con": "LHR-FDF3A8C1", "Tra": "LHR-0E3D9A55"}
@@ -208,3 +210,27 @@ def test_virtual_motion_capture_over_a_real_socket():
         marker_socket.stop()
     check_motion(samples, scale=SCALE)
     assert set(+marker_socket.ignored) == {"foreign"}
+
+
+# The page ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("program", ["VirtualMotionCapture", "SlimeVR"])
+def test_the_live_file_on_the_page_takes_what_its_program_sends(program, tmp_path):
+    page = files("jaxmocap").joinpath("docs", "programs.md").read_text("utf-8")
+    (block,) = re.findall(rf"^## {program}$.*?^```toml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    path = tmp_path / "live.toml"
+    path.write_text(block, "utf-8")
+    setup = load_live(path)
+    taken = Taken(setup.marker_names, setup.aliases, setup.raw)
+    for frame in range(FRAMES):
+        if program == "SlimeVR":
+            places = np.full((9, 3), frame / RATE)
+            datagrams = [programs.slimevr_trackers(places[:8], places[:8], places[8])]
+        else:
+            hmd, left, tracker = devices(frame)
+            held = [hmd, left, tracker._replace(kind="Con")]
+            datagrams = programs.virtual_motion_capture(held, frame / RATE)
+        taken.give(frame / RATE, datagrams)
+    samples = taken.done()
+    assert len(samples) == FRAMES and np.isfinite([s.positions_world for s in samples]).all()

@@ -28,8 +28,9 @@ def write_files_named_by(table: dict[str, Any], folder: Path) -> None:
             cv2.imwrite(str(folder / video["background"]), image(0))
         if "keypoints" in video:
             (folder / video["keypoints"]).mkdir(parents=True)
-    cameras = {video["camera"]: CAMERA for video in videos}
-    write_calibration(folder / table["calibration"]["file"], cameras)
+    if "calibration" in table:
+        cameras = {video["camera"]: CAMERA for video in videos}
+        write_calibration(folder / table["calibration"]["file"], cameras)
     markers, subject = table.get("markers", {}), table.get("subject", {})
     rigid = [name for names in markers.get("rigid", {}).values() for name in names]
     alone = [name for name in markers.get("on", {}) if name not in markers.get("rigid", {})]
