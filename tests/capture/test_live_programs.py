@@ -15,6 +15,7 @@ from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembl
 from jaxmocap.capture.streams.udp import Datagram, MarkerSocket
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.recordings.live import R_WORLD_UNITY, load_live
+from jaxmocap.pipelines.live.stream_states import stream_states
 
 RATE, FRAMES = 90.0, 40
 SERIALS = {"Hmd": "LHR-ヘッド", "Con": "LHR-FDF3A8C1", "Tra": "LHR-0E3D9A55"}
@@ -210,6 +211,17 @@ def test_virtual_motion_capture_over_a_real_socket():
         marker_socket.stop()
     check_motion(samples, scale=SCALE)
     assert set(+marker_socket.ignored) == {"foreign"}
+
+
+def test_bones_and_settings_are_worth_a_line_only_while_no_marker_comes():
+    taken = Taken()
+    taken.give(0.0, programs.virtual_motion_capture((), 0.0))
+    before = dict(stream_states(taken.socket, taken.assembler, (), 0.0))
+    taken.give(0.1, programs.virtual_motion_capture(devices(0), 0.1))
+    after = dict(stream_states(taken.socket, taken.assembler, (), 0.1))
+    taken.done()
+    assert "foreign packets ignored" in before and before["markers"] == "waiting for the first"
+    assert "foreign packets ignored" not in after and after["markers"] == "coming in"
 
 
 # The page ----------------------------------------------------------------------------------------
