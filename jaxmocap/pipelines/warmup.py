@@ -1,13 +1,16 @@
 """Compiling ahead: what tracking and a live run will need is compiled and kept on disk.
 
-INPUTS: a recording, of which half a second is tracked; or somebody who stands before a grey wall.
+INPUTS: a recording, of which half a second is tracked; the file of a live run; or none, for
+somebody who stands before a grey wall.
 OUTPUTS: JAX's compilation cache; how many programs were compiled, and how long it took.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import jax
 import numpy as np
@@ -15,10 +18,13 @@ import numpy as np
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.toml import read_toml
+from jaxmocap.formats.recordings.live import LiveSetup, load_live
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.demo import standing_recording
 from jaxmocap.pipelines.kept_programs import cache_folder, keep_compiled
+from jaxmocap.pipelines.live.tracking import LiveTracking
 from jaxmocap.pipelines.tracking.track import make_tracker, track
 
 # Seconds of a recording that are tracked: enough frames that the smoother gives out poses.
@@ -26,7 +32,9 @@ TRACKED_S = 0.5
 # Frames of the recording that stands in where none is named; as many.
 STANDING_FRAMES = 16
 # Mode of tracking -> its name in the output; a live run needs the programs of the second.
-MODE_NAMES: dict[Mode, str] = {"own": "track", "causal": "track --causal, live"}
+MODE_NAMES: dict[Mode, str] = {"own": "track", "causal": "track --causal"}
+# The same of a live run, by whether it smooths.
+LIVE_NAMES = {False: "live", True: "live --smooth"}
 # JAX's names of the events that are counted.
 COMPILE_EVENT = "/jax/core/compile/backend_compile_duration"
 CACHE_HIT_EVENT = "/jax/compilation_cache/cache_hits"
@@ -76,19 +84,48 @@ def warm_up(recording: Recording, settings: Settings | None = None) -> list[Comp
         settings: of the tracker.
     """
     keep_compiled()
-    short, counts = first_half_second(recording), []
+    short = first_half_second(recording)
     tracker = make_tracker(short, settings)
-    for mode, name in MODE_NAMES.items():
-        began, mode_counts = perf_counter(), CompilationCounts(name)
-        with counting_compilations(mode_counts):
-            track(short, tracker=tracker, mode=mode)
-        counts.append(replace(mode_counts, seconds=perf_counter() - began))
-    return counts
+    return [
+        _timed(name, lambda mode=mode: track(short, tracker=tracker, mode=mode))
+        for mode, name in MODE_NAMES.items()
+    ]
 
 
-def load_or_standing(path: str | None) -> Recording:
-    """A recording from its file, or without one of somebody who stands before a grey wall."""
-    return Recording.load(path) if path else standing_recording(STANDING_FRAMES)
+def warm_up_live(setup: LiveSetup, settings: Settings | None = None) -> list[CompilationCounts]:
+    """Compile what a live run needs, with and without ``--smooth``.
+
+    Args:
+        setup: of the run; no device is opened.
+        settings: of the tracker.
+    """
+    keep_compiled()
+
+    def compile_all(smooth: bool) -> None:
+        LiveTracking(setup, settings or Settings(), smooth).wait_until_ready()
+
+    return [
+        _timed(name, lambda smooth=smooth: compile_all(smooth))
+        for smooth, name in LIVE_NAMES.items()
+    ]
+
+
+def _timed(name: str, work: Callable[[], Any]) -> CompilationCounts:
+    """What work compiles, and how long it takes."""
+    began, counts = perf_counter(), CompilationCounts(name)
+    with counting_compilations(counts):
+        work()
+    return replace(counts, seconds=perf_counter() - began)
+
+
+def load_or_standing(path: str | None) -> Recording | LiveSetup:
+    """A recording or a live run from its file, or somebody who stands before a grey wall."""
+    if path is None:
+        return standing_recording(STANDING_FRAMES)
+    markers = read_toml(Path(path)).get("markers")
+    if isinstance(markers, dict) and "file" not in markers:
+        return load_live(path)
+    return Recording.load(path)
 
 
 def first_half_second(recording: Recording) -> Recording:

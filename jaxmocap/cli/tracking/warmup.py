@@ -1,6 +1,7 @@
 """``jaxmocap warmup``: compile ahead what tracking and a live run will need.
 
-INPUTS: a recording, or none for the demo's. OUTPUTS: compiled programs on disk; what they took.
+INPUTS: a recording, a live file, or none for the demo's. OUTPUTS: compiled programs on disk; what
+they took.
 """
 
 import argparse
@@ -13,19 +14,25 @@ from jaxmocap.cli.reporting import report
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "recording",
-        metavar="RECORDING.toml",
+        metavar="FILE.toml",
         nargs="?",
-        help="whose markers and cameras; default: the demo's, headset and controllers, one camera",
+        help="a recording, for 'track', or a live file, for 'live': whose markers and cameras; "
+        "default: the demo's recording",
     )
     add_refine(parser, "see 'track'")
 
 
 def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.formats.recordings.recording import Recording
     from jaxmocap.pipelines import warmup
     from jaxmocap.pipelines.tracking.track import choose_settings
 
-    recording = warmup.load_or_standing(options.recording)
-    compilations = warmup.warm_up(recording, choose_settings(options.refine, options.evidence))
+    subject = warmup.load_or_standing(options.recording)
+    settings = choose_settings(options.refine, options.evidence)
+    if isinstance(subject, Recording):
+        compilations = warmup.warm_up(subject, settings)
+    else:
+        compilations = warmup.warm_up_live(subject, settings)
     report(options, warmup.compilation_text(compilations), warmup.compilation_figures(compilations))
 
 

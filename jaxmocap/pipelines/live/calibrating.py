@@ -119,6 +119,7 @@ class _Listening:
         )
         self._source = marker_source(setup, assembler, self.now)
         self._source.start()
+        self._assembler = assembler
         status.log(0.0, f"listening at {self._source.address}")
 
     def now(self) -> float:
@@ -140,11 +141,16 @@ class _Listening:
             raise OutputError(
                 self._setup.path,
                 f"not calibrated: no marker came in at {self._source.address} within "
-                f"{PATIENCE_S:.0f} s",
+                f"{PATIENCE_S:.0f} s{self._others()}",
             )
         if missing:
-            self._status.log(self.now(), f"missing: {comma_list(sorted(missing))}")
+            self._status.log(self.now(), f"missing: {comma_list(sorted(missing))}{self._others()}")
         return True
+
+    def _others(self) -> str:
+        """Which names came that are no markers of [markers.on]."""
+        names = self._assembler.unknown_names
+        return f"; no markers of ours: {comma_list(sorted(names.copy()))}" if names else ""
 
     def count_down(self, stance: Stance, seconds: float) -> bool:
         """Tell what to do, and wait."""
