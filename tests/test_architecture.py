@@ -69,6 +69,7 @@ DOORS = {
     "onnxruntime": ("pipelines/keypoints/by_onnx.py",),
     "mediapipe": ("pipelines/keypoints/mediapipe_process.py",),
     "distributed": ("pipelines/batch/cluster.py",),
+    "shtab": ("cli/completion.py",),
     "av": (
         "capture/",
         "formats/cameras/video_out.py",

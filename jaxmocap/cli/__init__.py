@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 from jaxmocap import __version__
 from jaxmocap.cli import calibrate, silhouette, topics
 from jaxmocap.cli.command import Command
+from jaxmocap.cli.completion import add_completion
 from jaxmocap.cli.process_exit import end_process
 from jaxmocap.cli.reporting import check_report
 from jaxmocap.cli.results import convert, evaluate, retarget, view
@@ -144,6 +145,7 @@ def make_parser() -> Parser:
         epilog=f"example: {COMMANDS[0].example}",
     )
     parser.add_argument("--version", action="version", version=__version__)
+    add_completion(parser)
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for command in COMMANDS:
         _add_command(subparsers, command)
