@@ -84,7 +84,7 @@ def intrinsics_figures(result: IntrinsicsResult) -> dict[str, Any]:
     ]
     return {
         "camera": result.camera,
-        "size": [int(n) for n in estimate.lens.size],
+        "size_px": [int(n) for n in estimate.lens.size],
         "board": result.detections.board.label,
         "rms_px": estimate.rms,
         "pictures": pictures,
@@ -93,9 +93,9 @@ def intrinsics_figures(result: IntrinsicsResult) -> dict[str, Any]:
         "not_found": list(result.detections.not_found),
         "repeated": list(result.detections.duplicates),
         "parameters": parameters,
-        "coverage": result.coverage.share,
+        "coverage_share": result.coverage.share,
         "empty": list(result.coverage.empty),
-        "remarks": list(result.warnings),
+        "warnings": list(result.warnings),
         "files": [str(path) for path in result.files],
     }
 
@@ -130,22 +130,22 @@ def extrinsics_figures(result: ExtrinsicsResult) -> dict[str, Any]:
     )
     return {
         "camera": result.camera,
-        "position": placement.position_world.tolist(),
+        "position_m": placement.position_world.tolist(),
         "looks_along": placement.T_cam_world[2, :3].tolist(),
         "rotation": placement.rotation.tolist(),
-        "translation": placement.T_cam_world[:3, 3].tolist(),
+        "translation_m": placement.T_cam_world[:3, 3].tolist(),
         "rms_px": placement.rms,
         "position_std_m": placement.std_m.tolist(),
         "direction_std_deg": placement.std_deg,
         "points": [
-            {"name": name, "off_px": float(np.linalg.norm(residual)), "used": bool(use)}
+            {"name": name, "error_px": float(np.linalg.norm(residual)), "used": bool(use)}
             for name, residual, use in zip(
                 result.names, placement.residuals_xy, placement.used, strict=True
             )
         ],
-        "mirrored_position": mirrored,
-        "mirrored_times": _finite(placement.mirrored_ratio),
-        "remarks": list(result.warnings),
+        "mirrored_position_m": mirrored,
+        "mirrored_ratio": _finite(placement.mirrored_ratio),
+        "warnings": list(result.warnings),
         "files": [str(path) for path in result.files],
     }
 

@@ -89,6 +89,19 @@ class VideoOffset:
         """Whether there is an offset."""
         return not self.reason
 
+    def figures(self) -> dict:
+        """The same for JSON; drifts are seconds per second."""
+        return {
+            "camera": self.camera,
+            "stated_offset_s": self.stated_offset,
+            "offset_s": self.offset,
+            "std_s": self.std,
+            "correlation": self.correlation,
+            "drift_s_per_s": self.drift,
+            "drift_std_s_per_s": self.drift_std,
+            "reason": self.reason,
+        }
+
 
 @dataclass(frozen=True)
 class StretchLag:

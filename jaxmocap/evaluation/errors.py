@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass, match, second_difference
+from jaxmocap.evaluation.series import high_pass, match, second_difference
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list
 from jaxmocap.formats.time_series.markers import default_up, read_markers
@@ -18,6 +18,8 @@ from jaxmocap.formats.time_series.tables import Markers
 
 # Vertical axis of a file -> which of its axes are the world's x, y, z.
 TO_WORLD = {"z": [0, 1, 2], "y": [2, 0, 1]}
+# Statistic -> its unit, as the end of its key in JSON; metres where it is not here.
+_UNITS = {"samples": "", "jitter": "_m_s2"}
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,8 @@ class Errors:
 
     def as_dict(self) -> dict:
         """Figures of each joint and their means over the joints, for JSON; NaN becomes None."""
-        table = self.statistics()
+        statistics = self.statistics()
+        table = {key + _UNITS.get(key, "_m"): values for key, values in statistics.items()}
         joints = {
             name: {key: _plain(values[j]) for key, values in table.items()}
             for j, name in enumerate(self.joints)
@@ -86,8 +89,7 @@ class Errors:
             key: _plain(np.nanmean(values) if np.isfinite(values).any() else np.nan)
             for key, values in table.items()
         }
-        units = {"distances": "m", "jitter": "m/s^2", "high_pass": f"above {HIGH_PASS_HZ} Hz"}
-        return {"joints": joints, "mean_over_joints": over_joints, "units": units}
+        return {"joints": joints, "mean_over_joints": over_joints}
 
 
 def _per_joint(statistic, values: np.ndarray) -> np.ndarray:

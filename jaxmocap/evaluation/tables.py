@@ -8,12 +8,12 @@ from jaxmocap.evaluation.errors import Errors
 # Key of Errors.as_dict() -> heading, unit, factor from SI, digits.
 COLUMNS = {
     "samples": ("samples", "", 1, 0),
-    "mean": ("mean", "cm", 100, 2),
-    "median": ("median", "cm", 100, 2),
-    "p95": ("95 %", "cm", 100, 2),
-    "rms": ("RMS", "cm", 100, 2),
-    "high_pass_rms": ("> 0.3 Hz", "cm", 100, 2),
-    "jitter": ("jitter", "m/s²", 1, 1),
+    "mean_m": ("mean", "cm", 100, 2),
+    "median_m": ("median", "cm", 100, 2),
+    "p95_m": ("95 %", "cm", 100, 2),
+    "rms_m": ("RMS", "cm", 100, 2),
+    "high_pass_rms_m": ("> 0.3 Hz", "cm", 100, 2),
+    "jitter_m_s2": ("jitter", "m/s²", 1, 1),
 }
 
 
@@ -34,7 +34,7 @@ def format_table(errors: Errors, before: Errors | None = None) -> str:
         rows[1] += ["cm", "%"]
         old = _by_row(before)
         for row, (name, figures) in zip(rows[2:], _by_row(errors).items(), strict=True):
-            row += _improvement(old.get(name, {}).get("mean"), figures["mean"])
+            row += _improvement(old.get(name, {}).get("mean_m"), figures["mean_m"])
     return _aligned(rows)
 
 

@@ -83,7 +83,7 @@ class Demonstration:
         return {
             "markers_only": self.markers_only.as_dict(),
             "with_video": self.with_video.as_dict(),
-            "improvement": self.improvement,
+            "improvement_share": self.improvement,
             "frames_per_second": self.frames_per_second,
             "files": [str(path) for path in self.files],
         }

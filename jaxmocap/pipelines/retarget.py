@@ -55,20 +55,22 @@ class RetargetedMotion(NamedTuple):
         errors = feet_after - scaled_by_legs(before, after.skeleton, feet_before)
         speeds = np.linalg.norm(np.diff(errors, axis=0), axis=-1) / np.diff(before.times)[:, None]
         return {
-            "legs_before": round(leg_length(before.skeleton), 4),
-            "legs_after": round(leg_length(after.skeleton), 4),
-            "on_the_ground": dict(zip(FEET, on_ground.mean(0).round(3).tolist(), strict=True)),
-            "slide": _mean(speeds[on_ground[1:] & on_ground[:-1]]),
-            "height_off": _mean(np.abs(errors[..., 2])[on_ground]),
+            "legs_before_m": round(leg_length(before.skeleton), 4),
+            "legs_after_m": round(leg_length(after.skeleton), 4),
+            "on_the_ground_share": dict(
+                zip(FEET, on_ground.mean(0).round(3).tolist(), strict=True)
+            ),
+            "slide_m_s": _mean(speeds[on_ground[1:] & on_ground[:-1]]),
+            "height_error_m": _mean(np.abs(errors[..., 2])[on_ground]),
         }
 
     def text(self, files: list[Path]) -> str:
         """The same figures, and the files, as lines of text."""
         figures = self.figures()
-        slide, height = (_centimetres(figures[name]) for name in ("slide", "height_off"))
+        slide, height = (_centimetres(figures[name]) for name in ("slide_m_s", "height_error_m"))
         lines = [
-            f"legs           {_centimetres(figures['legs_before'])} before, "
-            f"{_centimetres(figures['legs_after'])} now",
+            f"legs           {_centimetres(figures['legs_before_m'])} before, "
+            f"{_centimetres(figures['legs_after_m'])} now",
             f"on the ground  feet are {height} off their height and slide {slide} a second more",
         ]
         return "\n".join([*lines, *(f"written        {path}" for path in files)])

@@ -80,10 +80,10 @@ def _centimetres(errors: np.ndarray) -> str:
     return f"{100 * np.percentile(finite, 95):.1f} cm" if len(finite) else "never measured"
 
 
-def figures(motion: Motion) -> dict:
-    """What ``report.json`` holds, and the rate."""
+def figures(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] = ()) -> dict:
+    """What ``report.json`` holds, the rate, and as in ``summary`` the warnings and the files."""
     rate = {} if motion.report is None else {"frames_per_second": frames_per_second(motion.report)}
-    return summarise(motion) | rate
+    return summarise(motion) | rate | {"warnings": list(warnings), "files": list(map(str, files))}
 
 
 def write_figures(figures: Mapping, path: str | Path | None = None) -> str:

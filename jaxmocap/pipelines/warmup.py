@@ -61,11 +61,11 @@ class CompilationCounts:
     def figures(self) -> dict:
         """The same for JSON."""
         return {
-            "way": self.mode,
+            "mode": self.mode,
             "seconds": self.seconds,
             "programs": self.programs,
-            "found": self.cached,
-            "longest": self.longest,
+            "from_cache": self.cached,
+            "longest_s": self.longest,
         }
 
     def text(self) -> str:
@@ -180,4 +180,4 @@ def compilation_text(counts: list[CompilationCounts]) -> str:
 
 def compilation_figures(counts: list[CompilationCounts]) -> dict:
     """The same counts for JSON."""
-    return {"ways": [each.figures() for each in counts]}
+    return {"modes": [each.figures() for each in counts], "kept_in": str(cache_folder())}

@@ -132,7 +132,7 @@ def test_only_the_cameras_own_entries_change(calibrated):
 
 def test_what_was_found_with_other_intrinsics_is_said_to_be_old(calibrated):
     _, figures = calibrated
-    assert any("rotation and translation were kept" in message for message in figures["remarks"])
+    assert any("rotation and translation were kept" in message for message in figures["warnings"])
 
 
 def test_a_calibration_that_differs_from_the_files_by_more_than_chance_is_said_to(

@@ -89,8 +89,8 @@ def test_a_board_at_a_measured_place_places_the_camera(folder, capsys):
     np.testing.assert_allclose(camera.T_cam_world[:3, :3], T_CAM_WORLD[:3, :3], atol=0.005)
     np.testing.assert_allclose(camera.matrix, LENS.matrix, rtol=1e-6)
     actual = json.loads(figures.read_text())
-    assert actual["rms_px"] < 0.2 and len(actual["points"]) == 28 and actual["remarks"] == []
-    error = np.subtract(actual["position"], [0.9, -0.5, 0.8])
+    assert actual["rms_px"] < 0.2 and len(actual["points"]) == 28 and actual["warnings"] == []
+    error = np.subtract(actual["position_m"], [0.9, -0.5, 0.8])
     assert (np.abs(error) < 5 * np.array(actual["position_std_m"])).all()
     assert "stands at (0.9" in capsys.readouterr().out
     picture = cv2.imread(str(drawn / "floor_placed.jpg"))

@@ -130,7 +130,7 @@ def test_the_command_prints_lines_for_the_recording(tmp_path, capsys):
     for name, truth in TRUTH.items():
         np.testing.assert_allclose(lines[name]["offset"], truth, atol=0.008)
         np.testing.assert_allclose(figures[name]["offset_m"], truth, atol=0.008)
-        assert max(figures[name]["std_m"]) < 0.005 and figures[name]["doubts"] == []
+        assert max(figures[name]["std_m"]) < 0.005 and figures[name]["warnings"] == []
     # They go into the recording as they are.
     assert set(read_toml(path)["markers"]["on"]) == set(lines)
     assert main(["offsets", str(path), "--turning", "0,3"]) == 2

@@ -379,7 +379,7 @@ def test_check_tells_what_it_looked_at(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "nothing wrong was found" in printed and "24 samples at 60 Hz" in printed
     figures = json.loads((tmp_path / "c.json").read_text())
-    assert figures["findings"] == [] and figures["cameras"][0]["shown"] == 1.0
+    assert figures["findings"] == [] and figures["cameras"][0]["shown_share"] == 1.0
 
 
 def test_check_and_track_refuse_what_is_in_millimetres(tmp_path, capsys):

@@ -73,9 +73,9 @@ def test_evaluate_compares_with_a_reference_by_time_stamp(tracked, capsys, tmp_p
     assert "wrist_l" in capsys.readouterr().out
     figures = json.loads(file.read_text())
     assert figures["joints"]["wrist_r"]["samples"] == SAMPLES
-    assert figures["mean_over_joints"]["mean"] < 0.02
+    assert figures["mean_over_joints"]["mean_m"] < 0.02
     assert main(["evaluate", str(out), truth, *wrists, "--up", "y", "--json", "-"]) == 0
-    assert json.loads(capsys.readouterr().out)["mean_over_joints"]["mean"] > 0.5
+    assert json.loads(capsys.readouterr().out)["mean_over_joints"]["mean_m"] > 0.5
 
 
 def test_view_says_how_to_open_the_recording_where_there_is_no_display(
@@ -114,8 +114,10 @@ def test_the_demo_shows_that_video_helps(tmp_path, capsys):
     printed = capsys.readouterr()
     figures = json.loads(printed.out)
     assert figures["markers_only"]["joints"]["elbow_r"]["samples"] == 45
-    before, after = (figures[k]["mean_over_joints"]["mean"] for k in ("markers_only", "with_video"))
-    assert 0 < after < before and figures["improvement"] == pytest.approx(1 - after / before)
+    before, after = (
+        figures[k]["mean_over_joints"]["mean_m"] for k in ("markers_only", "with_video")
+    )
+    assert 0 < after < before and figures["improvement_share"] == pytest.approx(1 - after / before)
     assert "before  improved" in printed.err and "frames per second" in printed.err
     assert {p.name for p in out.iterdir()} == OUTPUTS | {"elbow_errors.png", "recording"}
     assert (out / "recording" / "recording.toml").is_file()

@@ -66,7 +66,7 @@ def test_the_command_tracks_both_ways_and_says_what_it_took(monkeypatch, capsys)
     printed = capsys.readouterr()
     assert [mode for _, _, mode in asked] == ["own", "causal"] and asked[0][1] == "gradient"
     assert asked[0][0].name == "standing" and len(asked[0][0].times) == 15
-    assert [way["way"] for way in json.loads(printed.out)["ways"]] == list(
+    assert [each["mode"] for each in json.loads(printed.out)["modes"]] == list(
         warmup.MODE_NAMES.values()
     )
     assert "live: 0.0 s, 0 programs compiled" in printed.err and "kept in" in printed.err

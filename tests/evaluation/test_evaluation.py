@@ -71,9 +71,9 @@ def test_missing_samples_are_left_out_and_a_joint_without_data_has_no_figure():
     errors = Errors(("elbow_l", "elbow_r"), np.arange(10) / 60, offsets)
     figures = errors.as_dict()
     assert figures["joints"]["elbow_l"]["samples"] == 8
-    assert figures["joints"]["elbow_l"]["mean"] == pytest.approx(0.1 * np.sqrt(3))
-    assert figures["joints"]["elbow_r"]["mean"] is None
-    assert figures["mean_over_joints"]["mean"] == pytest.approx(0.1 * np.sqrt(3))
+    assert figures["joints"]["elbow_l"]["mean_m"] == pytest.approx(0.1 * np.sqrt(3))
+    assert figures["joints"]["elbow_r"]["mean_m"] is None
+    assert figures["mean_over_joints"]["mean_m"] == pytest.approx(0.1 * np.sqrt(3))
     assert json.loads(json.dumps(figures, allow_nan=False)) == figures
 
 

@@ -245,7 +245,7 @@ def test_of_the_warnings_the_first_and_the_newest_are_kept():
     assert len(kept) == FIRST_KEPT + NEWEST_KEPT
     assert kept[0] == "sentence 0" and kept[-1] == "sentence 4999"
     figures = status.figures(1.0)
-    assert len(figures["warnings"]) == len(kept) and figures["sentences"] == 5000
+    assert len(figures["warnings"]) == len(kept) and figures["message_count"] == 5000
 
 
 def test_a_log_on_a_full_disk_ends_no_run():

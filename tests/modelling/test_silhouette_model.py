@@ -65,7 +65,7 @@ def test_the_folder_holds_model_report_and_a_picture_of_every_step(made):
         assert picture.std() > 10
     report = json.loads((made / "report.json").read_text(encoding="utf-8"))
     assert report == json.loads((made / "figures.json").read_text(encoding="utf-8"))
-    assert set(report) == {"reading", "lengths", "girths", "joints", "seconds"}
+    assert set(report) == {"reading", "lengths_m", "girths_m", "joints_m", "seconds"}
     assert report["reading"] == "own"
 
 
@@ -88,7 +88,7 @@ def test_other_commands_find_the_person_in_the_folder(made, tmp_path):
     assert person.picture == (made / "texture.png").read_bytes()
     report = json.loads((made / "report.json").read_text(encoding="utf-8"))
     radius = float(person.skeleton.lengths[person.skeleton.tree.bone("radius_l")])
-    assert abs(radius - report["lengths"]["radius_l"]) < 0.02
+    assert abs(radius - report["lengths_m"]["radius_l"]) < 0.02
     nodes = rest_nodes(person.surface, rest_joints(person.skeleton))
     assert 1.4 < np.ptp(nodes[:, 2]) < 1.9
     with pytest.raises(InputError, match=r"found no subject.toml, expected what 'silhouette mod"):
@@ -111,12 +111,12 @@ def test_the_files_hold_the_person(made, rig):
     truth = body.landmarks()
     for side in "lr":
         humerus = np.linalg.norm(truth[f"shoulder_{side}"] - truth[f"elbow_{side}"])
-        assert abs(report["lengths"][f"humerus_{side}"] - humerus) < 0.02
-        girth = report["girths"][f"upper_arm_{side}"]["girth"]
+        assert abs(report["lengths_m"][f"humerus_{side}"] - humerus) < 0.02
+        girth = report["girths_m"][f"upper_arm_{side}"]["girth"]
         assert abs(girth / body.arm("humerus", side, 0.5).girth - 1) < 0.08
     heights = np.linspace(truth["pelvis"][2] + 0.05, truth["shoulder_l"][2] - 0.12, 30)
     waist = min(body.trunk(height).girth for height in heights)
-    assert abs(report["girths"]["waist"]["girth"] / waist - 1) < 0.06
+    assert abs(report["girths_m"]["waist"]["girth"] / waist - 1) < 0.06
     with np.load(made / "model.npz") as data:
         parts = trimesh.Trimesh(data["vertices"], data["faces"], process=False).split()
         assert len(parts) == 3 and all(part.is_watertight for part in parts)

@@ -48,14 +48,14 @@ def offsets_figures(offsets: Sequence[DeviceOffset]) -> dict:
             "offset_m": offset.offset.tolist(),
             "std_m": offset.std.tolist(),
             "covariance_m2": offset.covariance.tolist(),
-            "stray_m": offset.joint_rms,
-            "swing_deg": offset.rotation_rms,
+            "joint_rms_m": offset.joint_rms,
+            "rotation_rms_deg": offset.rotation_rms,
             "seconds": offset.windows,
             "turn_wxyz": None
             if offset.orientation is None
             else quaternions(offset.orientation).tolist(),
-            "turn_spread_deg": None if offset.orientation is None else offset.orientation_rms,
-            "doubts": list(offset.warnings),
+            "turn_rms_deg": None if offset.orientation is None else offset.orientation_rms,
+            "warnings": list(offset.warnings),
         }
         for offset in offsets
     }

@@ -64,9 +64,9 @@ class MarkerVisibility:
         """The same as plain figures."""
         return {
             "camera": self.camera,
-            "covered": self.covered_share,
-            "shown": self.visible_share,
-            "distance": self.distance,
+            "covered_share": self.covered_share,
+            "shown_share": self.visible_share,
+            "distance_m": self.distance,
         }
 
 

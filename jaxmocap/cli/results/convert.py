@@ -9,7 +9,7 @@ from pathlib import Path
 
 from jaxmocap.cli.command import Command
 from jaxmocap.cli.option_types import picture_size, positive_number
-from jaxmocap.cli.reporting import print_lines
+from jaxmocap.cli.reporting import report
 
 FORMATS_TEXT = """\
 Markers: .c3d .trc .csv. Motions: .npz .bvh .glb .mot; their joints can become markers. What a
@@ -79,7 +79,8 @@ def _run(options: argparse.Namespace) -> None:
         size=options.size,
     )
     warnings = convert_file(options.source, options.target, conversion)
-    print_lines([*warnings, f"written  {options.target}"])
+    text = "\n".join([*warnings, f"written  {options.target}"])
+    report(options, text, {"files": [options.target], "warnings": warnings})
 
 
 COMMAND = Command(
@@ -88,5 +89,4 @@ COMMAND = Command(
     run=_run,
     add_options=_add_options,
     example="jaxmocap convert tracked/motion.npz motion.bvh --unit cm",
-    reports_figures=False,
 )

@@ -28,7 +28,8 @@ def _run(options: argparse.Namespace) -> None:
     warnings: list[str] = []
     files = write_retargeted(result, folder, warnings.append)
     lines = [result.text(files), *(f"warning        {sentence}" for sentence in warnings)]
-    report(options, "\n".join(lines), result.figures())
+    written = {"files": [str(path) for path in files], "warnings": warnings}
+    report(options, "\n".join(lines), result.figures() | written)
 
 
 COMMAND = Command(

@@ -4,9 +4,11 @@ INPUTS: a folder that ``track`` wrote. OUTPUTS: a viewer.
 """
 
 import argparse
+import sys
 
 from jaxmocap.cli.command import Command
 from jaxmocap.cli.option_types import port_number
+from jaxmocap.cli.reporting import report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
@@ -26,10 +28,12 @@ def _run(options: argparse.Namespace) -> None:
 
     path = recording_in(options.directory)
     if not options.web:
-        print(open_viewer(path))
+        report(options, open_viewer(path), {"recording": str(path), "page": None})
         return
     viewer = serve_page(path, options.port)
-    print(f"{path}\nat {viewer.page}\nuntil Ctrl-C", flush=True)
+    figures = {"recording": str(path), "page": viewer.page}
+    report(options, f"{path}\nat {viewer.page}\nuntil Ctrl-C", figures)
+    sys.stdout.flush()
     viewer.until_interrupted()
 
 
@@ -39,5 +43,4 @@ COMMAND = Command(
     run=_run,
     add_options=_add_options,
     example="jaxmocap view tracked",
-    reports_figures=False,
 )

@@ -25,12 +25,10 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from dataclasses import asdict
-
     from jaxmocap.calibration.sync import estimate_video_offsets, sync_text
 
     videos = estimate_video_offsets(recording_of(options), options.search)
-    report(options, sync_text(videos), {"videos": [asdict(video) for video in videos]})
+    report(options, sync_text(videos), {"videos": [video.figures() for video in videos]})
     count = sum(not video.is_found for video in videos)
     return exit_code(options, [f"no offset of {count} of {len(videos)} videos"] if count else [])
 

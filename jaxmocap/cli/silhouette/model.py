@@ -62,7 +62,8 @@ def _run(options: argparse.Namespace) -> None:
         options.reading,
     )
     files = modelling.write_model(model, folder)
-    report(options, modelling.model_text(model, files), model.figures())
+    figures = model.figures() | {"files": [str(path) for path in files]}
+    report(options, modelling.model_text(model, files), figures)
 
 
 COMMAND = Command(

@@ -102,7 +102,8 @@ def _run(options: argparse.Namespace) -> None:
     warnings: list[str] = []
     where = recording, options.out, True, person, inputs, warnings.append
     files = write_results(followed, *where)
-    report(options, summary(followed.motion, files, warnings), figures(followed.motion))
+    given = followed.motion, files, warnings
+    report(options, summary(*given), figures(*given))
 
 
 COMMAND = Command(

@@ -64,7 +64,8 @@ def _run(options: argparse.Namespace) -> int:
     motion = track(recording, settings, mode=mode, progress=True)
     warnings: list[str] = []
     files = write_outputs(motion, recording, options.out, settings, True, warnings.append)
-    report(options, summary(motion, files, warnings), figures(motion))
+    given = motion, files, warnings
+    report(options, summary(*given), figures(*given))
     problem = misfit(motion)
     return exit_code(options, [problem] if problem else [])
 

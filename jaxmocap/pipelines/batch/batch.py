@@ -116,6 +116,7 @@ class Batch:
             "earlier": self.earlier_count,
             "failures": self.failures,
             "recordings": [asdict(row) for row in self.rows],
+            "files": [str(path) for path in self.files],
         }
 
 

@@ -257,7 +257,7 @@ class Live:
             "clock_jumps": self._socket.clock_jumps,
             "dropped": self._dropped() | {"not recorded": recording.dropped if recording else 0},
             "frames": {camera.name: camera.frames for camera in self._cameras},
-            "placed_anew": self.tracking.placements,
+            "placed_again": self.tracking.placements,
             "not_sent": self._to_vmc.failed,
             "recording": str(recording.path) if recording and recording.path else None,
             "problems": list(self._problems()),

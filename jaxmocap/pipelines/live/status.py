@@ -182,7 +182,7 @@ class LiveStatus:
             "rate_hz": self.outputs / seconds if seconds > 0 else 0.0,
             "latency_ms": {"median": median, "p99": most, "of": len(self._latencies)},
             "warnings": [message._asdict() for message in self.messages],
-            "sentences": self.message_count,
+            "message_count": self.message_count,
         }
 
 

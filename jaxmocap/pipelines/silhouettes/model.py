@@ -70,7 +70,7 @@ class ModelResult(NamedTuple):
         around = {name: section.rounded() for name, section in girths(self.model).items()}
         seconds = round(self.seconds, 2)
         return {
-            "reading": self.reading, "lengths": lengths, "girths": around, "joints": joints,
+            "reading": self.reading, "lengths_m": lengths, "girths_m": around, "joints_m": joints,
             "seconds": seconds,
         }  # fmt: skip
 
@@ -210,11 +210,11 @@ def pictures(modelled: ModelResult) -> dict[str, np.ndarray]:
 def model_text(modelled: ModelResult, files: list[Path]) -> str:
     """For the terminal."""
     figures = modelled.figures()
-    lines = [f"{name:12} {100 * length:6.1f} cm" for name, length in figures["lengths"].items()]
+    lines = [f"{name:12} {100 * length:6.1f} cm" for name, length in figures["lengths_m"].items()]
     lines += [""] + [
         f"{name:12} {100 * s['girth']:6.1f} cm around, {100 * s['width']:5.1f} cm wide, "
         f"{100 * s['depth']:5.1f} cm deep"
-        for name, s in figures["girths"].items()
+        for name, s in figures["girths_m"].items()
     ]
     lines += ["", f"made in {modelled.seconds:.1f} s", *(f"written  {path}" for path in files)]
     return "\n".join(lines)

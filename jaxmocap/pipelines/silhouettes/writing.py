@@ -101,12 +101,12 @@ def write_into(
     """The same into a folder that is there, of which nothing is asked."""
     motion = result.motion
     skin, picture = _skin(result, person)
-    left_out: list[str] = []
-    files = write_motion(motion, folder, skin, picture, left_out.append)
+    warnings: list[str] = []
+    files = write_motion(motion, folder, skin, picture, warnings.append)
     files.append(folder / "report.json")
-    extra = {"recording": recording.path or recording.name, "left out": left_out}
+    extra = {"recording": recording.path or recording.name, "warnings": warnings}
     write_report(files[-1], motion, extra)
-    for sentence in left_out:
+    for sentence in warnings:
         warn(sentence)
     videos = [open_video(source) for source in recording.videos]
     with progress_bar("drawing", progress) as show:
