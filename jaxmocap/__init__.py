@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from jaxmocap.pipelines.tracking.track import track
     from jaxmocap.smoothing.functions import Events, SmoothMotion
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "LANDMARKS",
     "Camera",
