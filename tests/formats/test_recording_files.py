@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_recording import write_small_recording
 
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.calibration.sync import estimate_video_offsets
@@ -344,3 +345,15 @@ def test_the_real_recordings_are_read(recordings, which):
             length, abs=2e-3
         )
     assert recording.warnings == ()
+
+
+def test_a_camera_that_is_not_used_need_not_have_been_placed(tmp_path):
+    file = write_small_recording(tmp_path)
+    with (tmp_path / "calibration.toml").open("a") as calibration:
+        calibration.write(
+            "\n[other]\nsize = [96, 72]\nmatrix = [[95, 0, 48], [0, 95, 36], [0, 0, 1]]\n"
+        )
+    assert [video.camera_name for video in load_recording(file).videos] == ["cam"]
+    file.write_text(file.read_text().replace('camera = "cam"', 'camera = "other"'))
+    with pytest.raises(InputError, match=r"\[other\]: 'rotation' is missing"):
+        load_recording(file)

@@ -75,7 +75,7 @@ class MarkerStream(Listener):
         try:
             import pylsl
         except (ImportError, RuntimeError):
-            problem = "needs pylsl, which pip install 'jaxmocap[lsl]' brings"
+            problem = "pylsl is missing: pip install 'jaxmocap[lsl]'"
             raise InputError("[lsl]", problem) from None
         super().__init__("markers", RESOLVE_TIMEOUT_S + 1.0)
         self._lsl: Any = pylsl

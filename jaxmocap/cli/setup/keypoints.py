@@ -23,7 +23,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "--detector",
         metavar="NAME",
         required=True,
-        help="mediapipe, or an RTMPose-like model as an .onnx file (pip install '.[onnx]')",
+        help="mediapipe, or an RTMPose-like model as an .onnx file (pip install 'jaxmocap[onnx]')",
     )
     add(
         "--python",

@@ -85,13 +85,42 @@ def read_calibration(path: str | Path, origin_world: np.ndarray | None = None) -
     Raises:
         InputError: no such file, no camera in it, or a field that is missing or does not fit.
     """
+    sections = read_sections(path)
+    return {name: camera_of(path, sections, name, origin_world) for name in sections}
+
+
+def read_sections(path: str | Path) -> dict[str, Any]:
+    """The sections of a calibration file, as they stand there: see ``camera_of``.
+
+    Raises:
+        InputError: no such file, or no camera in it.
+    """
     path = Path(path)
     sections = _sections(path)
     if not sections:
         raise InputError(path, "found no camera section")
-    origin = np.zeros(3) if origin_world is None else origin_world
-    each = {name: TomlTable(path, f"[{name}]", table) for name, table in sections.items()}
-    return {name: _camera(fields, origin) for name, fields in each.items()}
+    return sections
+
+
+def camera_of(
+    path: str | Path,
+    sections: Mapping[str, Any],
+    name: str,
+    origin_world: np.ndarray | None = None,
+) -> Camera:
+    """The camera of one section; the others need not be complete, nor placed.
+
+    Args:
+        path: of the file.
+        sections: of ``read_sections``.
+        name: of the section.
+        origin_world: (3,) metres, subtracted from the camera's position; None: zero.
+
+    Raises:
+        InputError: no such section, or a field of it that is missing or does not fit.
+    """
+    fields = TomlTable(Path(path), f"[{name}]", pick_camera(path, sections, name))
+    return _camera(fields, np.zeros(3) if origin_world is None else origin_world)
 
 
 def read_intrinsics(path: str | Path, name: str) -> Intrinsics:

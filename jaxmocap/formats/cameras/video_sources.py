@@ -4,14 +4,15 @@ INPUTS: a recording's TOML file with [[video]] and [calibration].
 OUTPUTS: a VideoSource of each, with its camera.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxmocap.formats.cameras.calibration import check_one_kind, pick_camera, read_calibration
+from jaxmocap.formats.cameras.calibration import camera_of, check_one_kind, read_sections
 from jaxmocap.formats.files.short_repr import short_repr
 from jaxmocap.formats.files.toml import TomlTable, same_file_name
 from jaxmocap.formats.recordings.keypoint_files import LARGEST_FRAME_NUMBER
@@ -73,10 +74,11 @@ def read_videos(top: TomlTable, origin_world: np.ndarray | None = None) -> tuple
         raise top.error("", "[calibration] is missing, which every [[video]] needs")
     calibration = TomlTable(top.path, "[calibration]", top.entries["calibration"], ("file",))
     file = calibration.file("file")
-    cameras = read_calibration(file, origin_world)
     if len(tables) > MAX_VIDEOS:
         raise top.error("[[video]]", f"found {len(tables)}, expected at most {MAX_VIDEOS}")
-    videos = [_video(top.path, i, table, file, cameras) for i, table in enumerate(tables, 1)]
+    sections = read_sections(file)
+    cameras = partial(camera_of, file, sections, origin_world=origin_world)
+    videos = [_video(top.path, i, table, cameras) for i, table in enumerate(tables, 1)]
     _check_names(top, [video.camera_name for video in videos])
     check_one_kind(top, {video.camera_name: video.camera for video in videos})
     return tuple(videos)
@@ -93,15 +95,13 @@ def _check_names(top: TomlTable, names: list[str]) -> None:
         earlier[same] = name
 
 
-def _video(
-    path: Path, number: int, table: Any, calibration: Path, cameras: dict[str, Camera]
-) -> VideoSource:
+def _video(path: Path, number: int, table: Any, cameras: Callable[[str], Camera]) -> VideoSource:
     keys = ("file", "camera", "offset", "background", *_KEYPOINT_KEYS)
     fields = TomlTable(path, f"[[video]] number {number}", table, keys)
     name = fields.file_name("camera")
     return VideoSource(
         camera_name=name,
-        camera=pick_camera(calibration, cameras, name),
+        camera=cameras(name),
         path=fields.file("file"),
         offset=fields.number("offset", 0.0, -LATEST_S, LATEST_S),
         background=fields.file("background") if "background" in fields else None,

@@ -6,15 +6,16 @@ OUTPUTS: a LiveSetup.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton, has_wrists
-from jaxmocap.formats.cameras.calibration import check_one_kind, pick_camera, read_calibration
+from jaxmocap.formats.cameras.calibration import camera_of, check_one_kind, read_sections
 from jaxmocap.formats.files.addresses import (
     LOOPBACK,
     Address,
@@ -291,8 +292,8 @@ def _videos(top: TomlTable) -> tuple[Path | None, tuple[LiveVideo, ...]]:
         raise top.error("", "[calibration] is missing, which every [[video]] needs")
     calibration = TomlTable(top.path, "[calibration]", top.entries["calibration"], ("file",))
     file = calibration.file("file")
-    cameras = read_calibration(file)
-    videos = tuple(_video(top.path, i, table, file, cameras) for i, table in enumerate(tables, 1))
+    cameras = partial(camera_of, file, read_sections(file))
+    videos = tuple(_video(top.path, i, table, cameras) for i, table in enumerate(tables, 1))
     check_one_kind(top, {video.camera_name: video.camera for video in videos})
     names = [video.camera_name for video in videos]
     # Their videos are files side by side.
@@ -301,9 +302,7 @@ def _videos(top: TomlTable) -> tuple[Path | None, tuple[LiveVideo, ...]]:
     return file, videos
 
 
-def _video(
-    path: Path, number: int, table: Any, calibration: Path, cameras: dict[str, Camera]
-) -> LiveVideo:
+def _video(path: Path, number: int, table: Any, cameras: Callable[[str], Camera]) -> LiveVideo:
     keys = ("device", "file", "url", "camera", "offset")
     fields = TomlTable(path, f"[[video]] number {number}", table, keys)
     given = [key for key in ("device", "file", "url") if key in fields]
@@ -311,7 +310,7 @@ def _video(
         stated = " and ".join(given) or "none"
         raise fields.error("", f"found {stated}, expected one of device, file, url")
     name = fields.file_name("camera")
-    camera = pick_camera(calibration, cameras, name)
+    camera = cameras(name)
     offset = fields.number("offset", 0.0, -MAX_DELAY_S, MAX_DELAY_S)
     return LiveVideo(name, camera, _camera_source(fields, given[0]), offset)
 

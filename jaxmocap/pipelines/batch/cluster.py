@@ -71,8 +71,8 @@ def cluster_client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         import dask.config as dask_config
         from distributed import Client, LocalCluster
     except ImportError:
-        problem = "dask.distributed is missing; pip install 'jaxmocap[cluster]'"
-        raise InputError("jaxmocap batch", problem) from None
+        problem = "is missing: pip install 'jaxmocap[cluster]'"
+        raise InputError("dask.distributed", problem) from None
     with ExitStack() as stack:
         if scheduler is None:
             stack.enter_context(dask_config.set(CLUSTER_CONFIG))

@@ -61,7 +61,7 @@ def _session(path: Path) -> Any:
     try:
         import onnxruntime
     except ImportError:
-        problem = "onnxruntime is missing: pip install '.[onnx]'"
+        problem = "onnxruntime is missing: pip install 'jaxmocap[onnx]'"
         raise InputError(path, problem) from None
     if not path.is_file():
         raise InputError(path, "no such file")

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.capture.photographs import read_photograph, write_picture
-from jaxmocap.formats.cameras.calibration import pick_camera, read_calibration
+from jaxmocap.formats.cameras.calibration import camera_of, read_sections
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.files.writing import replacing, write_text
@@ -119,10 +119,13 @@ def model_from(
 
 def _cameras(calibration: str | Path) -> dict[str, Camera]:
     """Photograph -> camera; the front's also took the arms where they have no section."""
-    cameras = read_calibration(calibration)
-    for name in ("front", "side"):
-        pick_camera(calibration, cameras, name)
-    return {"joint": cameras["front"], "arm_side": cameras["front"]} | cameras
+    sections = read_sections(calibration)
+    return {
+        name: camera_of(
+            calibration, sections, name if name in (*sections, "front", "side") else "front"
+        )
+        for name in PHOTOGRAPHS
+    }
 
 
 def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> OutputFolder:
