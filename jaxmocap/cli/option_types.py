@@ -115,3 +115,8 @@ def place_and_facing(text: str) -> tuple[float, float, float]:
     except ValueError:
         raise argparse.ArgumentTypeError(f"found {text!r}, expected X,Y,FACING") from None
     return x, y, facing
+
+
+def add_up(parser: argparse.ArgumentParser, help_text: str) -> None:
+    """The option --up."""
+    parser.add_argument("--up", choices=("z", "y"), help=help_text)

@@ -13,6 +13,7 @@ import numpy as np
 from jaxmocap.evaluation.series import high_pass, match, second_difference
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list
+from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.formats.time_series.markers import default_up, read_markers
 from jaxmocap.formats.time_series.tables import Markers
 
@@ -166,6 +167,16 @@ def points_z_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
     return {name: points[:, TO_WORLD[up]] for name, points in reference.points().items()}
 
 
+def _tracked_joints(folder: Path) -> tuple[Path, Markers]:
+    path = folder / "motion.npz"
+    if not path.is_file():
+        path = folder / "joints.trc"
+        return path, read_markers(path)
+    motion = load_motion(path)
+    joints = motion.joints()
+    return path, Markers(motion.times, tuple(joints), np.stack(list(joints.values()), 1))
+
+
 def evaluate_directory(
     directory: str | Path,
     truth_path: str | Path,
@@ -173,7 +184,10 @@ def evaluate_directory(
     up: str | None = None,
     offset: float = 0.0,
 ) -> Errors:
-    """Errors of the ``joints.trc`` that ``track`` wrote, against a reference.
+    """Errors of the joints that ``track`` wrote, against a reference.
+
+    They are those of ``motion.npz``, whose axes are the world's; of ``joints.trc``, Z up, where
+    that is missing.
 
     Args:
         directory: what ``track --out`` was given.
@@ -188,8 +202,8 @@ def evaluate_directory(
         InputError: a file that is missing or no marker file, an unknown name, no common time.
         ValueError: another ``up``.
     """
-    path = Path(directory) / "joints.trc"
-    tracked, truth = read_markers(path), read_markers(truth_path)
+    path, tracked = _tracked_joints(Path(directory))
+    truth = read_markers(truth_path)
     truth_world = points_z_up(truth, up or default_up(truth_path))
     if pairs is None:
         pairs = {name: name for name in tracked.names if name in truth.names}

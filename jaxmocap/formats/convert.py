@@ -5,7 +5,8 @@ calibration of another system. OUTPUTS: another of the same kind, or the joints 
 markers, or a calibration (.toml); what was left out or added on the way, as sentences.
 
 Markers keep the axes of their file. Motions are Y up in .bvh and .glb and Z up elsewhere, and are
-rotated; joints made from them are Z up, as ``joints.trc`` is.
+rotated; joints made from them are Z up, as ``joints.trc`` is. With ``up = "y"`` what is Z up
+becomes Y up. OpenSim's coordinates are Y up always.
 """
 
 from dataclasses import dataclass, field, replace
@@ -37,6 +38,8 @@ from jaxmocap.formats.conversion.resampling import (
 from jaxmocap.formats.files.errors import FileError, InputError
 from jaxmocap.formats.files.short_repr import comma_list
 from jaxmocap.formats.motion_npz import load_motion, save_motion
+from jaxmocap.formats.opensim.coordinates import OPENSIM, write_opensim
+from jaxmocap.formats.time_series.axes import Y_UP, from_world
 from jaxmocap.formats.time_series.c3d import unconverted_content, write_c3d
 from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.markers import read_markers
@@ -56,12 +59,13 @@ class ConversionOptions:
 
     Attributes:
         names: convention of the joints' names, one of ``CONVENTIONS``; None is customary for the
-            target, or what the source says.
+            target, or what the source says. ``opensim`` is for a .mot with OpenSim's coordinates.
         unit: of the BVH file, of the one written if both are; None is metres when written, inferred
             by the body's size when read. Of a calibration that does not state its own.
         rate: samples per second of the target; None keeps the source's times.
         body: file whose skeleton the angles of a .mot are of; None where the source has one.
         angles: of the .mot written, ``hinges`` or ``isb``; None is hinges.
+        up: vertical axis of the markers written, "z" or "y"; None is as they are.
         source_up: axis of a calibration's world that points up, a key of
             ``calibrations.registry.R_WORLD_OF_SOURCE_UP``; None is what its system documents.
         size: width and height of the pictures, pixels, of a calibration that does not state them.
@@ -72,6 +76,7 @@ class ConversionOptions:
     rate: float | None = None
     body: Path | None = None
     angles: str | None = None
+    up: str | None = None
     source_up: str | None = None
     size: tuple[int, int] | None = None
 
@@ -130,8 +135,13 @@ def _check_options(conversion: _Conversion, source: str, target: str) -> None:
     useless = {
         "--unit": options.unit and ".bvh" not in (source, target),
         "--body": options.body and source != ".mot",
-        "--names": options.names and (source in MARKER_SUFFIXES or target in (".npz", ".mot")),
-        "--angles": options.angles and target != ".mot",
+        "--names": options.names and source in MARKER_SUFFIXES,
+        f"--names {options.names}": options.names
+        and (target == ".npz" or (target == ".mot") != (options.names == OPENSIM)),
+        "--angles": options.angles and (target != ".mot" or options.names == OPENSIM),
+        f"--up {options.up}": options.up
+        and target not in MARKER_SUFFIXES
+        and (options.up, options.names) != (Y_UP, OPENSIM),
         "--source-up": options.source_up,
         "--size": options.size,
     }
@@ -146,7 +156,7 @@ def _check_options(conversion: _Conversion, source: str, target: str) -> None:
 def _convert_calibration(conversion: _Conversion) -> list[str]:
     """Another system's calibration made into ours; InputError for an option about other files."""
     options = conversion.options
-    for name in ("names", "rate", "body", "angles"):
+    for name in ("names", "rate", "body", "angles", "up"):
         if getattr(options, name) is not None:
             raise InputError(conversion.source, f"--{name} does not apply to a calibration")
     return convert_calibration(
@@ -165,6 +175,8 @@ def _read_markers(conversion: _Conversion) -> Markers:
 
 def _write_markers(conversion: _Conversion, markers: Markers) -> None:
     kind = conversion.target.suffix.lower()
+    if conversion.options.up == Y_UP:
+        markers = from_world(markers, Y_UP)
     if conversion.options.rate is not None:
         columns = (3 if markers.orientations is None else 12) * len(markers.names)
         times = even_times(markers.times, conversion.options.rate, columns, conversion.source)
@@ -277,6 +289,8 @@ def _write_motion(conversion: _Conversion, motion: Motion) -> None:
         motion = resampled_motion(motion, times)
     if conversion.target.suffix.lower() == ".npz":
         save_motion(conversion.target, motion)
+    elif conversion.options.names == OPENSIM:
+        conversion.warnings += write_opensim(conversion.target, motion)
     else:
         isb = conversion.options.angles == "isb"
         (write_isb if isb else write_mot)(conversion.target, motion)

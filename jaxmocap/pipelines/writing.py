@@ -2,11 +2,11 @@
 
 INPUTS: a Motion, its Recording, a folder.
 OUTPUTS: joints.trc, angles.mot, angles_isb.mot, motion.npz, motion.bvh, motion.glb, report.json,
-recording.rrd, and overlay.mp4 where there is video.
+recording.rrd, overlay.mp4 where there is video, angles_opensim.mot where it is asked for.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
@@ -21,8 +21,10 @@ from jaxmocap.capture.video import FrameSource, TimedImage
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import save_motion
+from jaxmocap.formats.opensim.coordinates import OPENSIM, write_opensim
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.formats.recordings.recording_files import input_files
+from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP, Z_UP, to_world
 from jaxmocap.formats.time_series.mot import write_isb, write_mot
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera, turned
@@ -50,6 +52,28 @@ MOTION_FILES = (
 )
 
 
+OPENSIM_FILE = "angles_opensim.mot"
+
+
+@dataclass(frozen=True)
+class MotionFormats:
+    """How a motion's files are written.
+
+    Attributes:
+        up: vertical axis of joints.trc, "z" or "y".
+        names: "opensim" writes the coordinates of OpenSim's model as well; None does not.
+    """
+
+    up: str = Z_UP
+    names: str | None = None
+
+    @property
+    def more_files(self) -> tuple[str, ...]:
+        """Names of files besides ``MOTION_FILES``."""
+        return (OPENSIM_FILE,) if self.names == OPENSIM else ()
+
+
+USUAL_FORMATS = MotionFormats()
 # Called with a warning.
 Warn = Callable[[str], None]
 
@@ -88,6 +112,7 @@ def write_outputs(
     settings: Settings | None = None,
     progress: Progress | bool | None = None,
     warn: Warn = ignore_warning,
+    formats: MotionFormats = USUAL_FORMATS,
 ) -> list[Path]:
     """Write all files of a tracked recording, drawn with its cameras as they were refined.
 
@@ -98,6 +123,7 @@ def write_outputs(
         settings: of the tracker, for the edges that the viewer shows.
         progress: called with the frames drawn and their total; True shows a bar on stderr.
         warn: called with a sentence for each file that cannot hold the motion and is left out.
+        formats: how the motion's files are written.
 
     Returns:
         The files, in the order in which they were written.
@@ -106,8 +132,8 @@ def write_outputs(
         InputError: see ``tracked_folder``.
         OutputError: the disk is full; what was there is as it was.
     """
-    return tracked_folder(directory, recording).write(
-        lambda stage: write_tracked(motion, recording, stage, settings, progress, warn)
+    return tracked_folder(directory, recording, formats.more_files).write(
+        lambda stage: write_tracked(motion, recording, stage, settings, progress, warn, formats)
     )
 
 
@@ -118,12 +144,13 @@ def write_tracked(
     settings: Settings | None = None,
     progress: Progress | bool | None = None,
     warn: Warn = ignore_warning,
+    formats: MotionFormats = USUAL_FORMATS,
 ) -> list[Path]:
     """The same into an existing folder, without any check of it."""
     videos, warnings = open_footage(recording)
     recording = with_refined_cameras(recording, motion)
     motion_warnings: list[str] = []
-    files = write_motion(motion, folder, warn=motion_warnings.append)
+    files = write_motion(motion, folder, warn=motion_warnings.append, formats=formats)
     files.append(folder / "report.json")
     warnings = [*warnings, *motion_warnings]
     extra = {"recording": recording.path or recording.name, "warnings": warnings}
@@ -154,6 +181,7 @@ def write_motion(
     surface: Surface | None = None,
     picture: bytes | None = None,
     warn: Warn = ignore_warning,
+    formats: MotionFormats = USUAL_FORMATS,
 ) -> list[Path]:
     """The motion in every format that others read.
 
@@ -163,12 +191,15 @@ def write_motion(
         surface: motion.glb's skin.
         picture: its colours.
         warn: called with a sentence for each file that cannot hold the motion and is left out.
+        formats: how the files are written.
 
     Returns:
         The files that were written.
     """
     files = [folder / name for name in MOTION_FILES]
-    write_trc(files[0], motion.times, motion.joints())
+    R_file_world = R_WORLD_OF_UP[formats.up].T
+    joints = {name: to_world(R_file_world, points) for name, points in motion.joints().items()}
+    write_trc(files[0], motion.times, joints)
     write_mot(files[1], motion)
     write_isb(files[2], motion)
     save_motion(files[3], motion)
@@ -176,6 +207,10 @@ def write_motion(
         if (sentence := write_animation(path, motion, surface, picture)) is not None:
             warn(sentence)
             files.remove(path)
+    if formats.names == OPENSIM:
+        files.append(folder / OPENSIM_FILE)
+        for sentence in write_opensim(files[-1], motion):
+            warn(f"{OPENSIM_FILE}: {sentence}")
     return files
 
 

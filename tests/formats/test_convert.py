@@ -237,8 +237,9 @@ def test_a_motion_is_compared_with_an_animation_file(folder, suffix, elbow):
     convert_file(folder / "motion.npz", folder / f"truth.{suffix}")
     assert evaluate(motion, folder / f"truth.{suffix}", {"elbow_l": elbow}).mean < 1e-5
     late = {name: points + np.array([0.03, 0, 0]) for name, points in motion.joints().items()}
-    write_trc(folder / "joints.trc", motion.times + 4, late)
-    arguments = ["evaluate", str(folder), str(folder / f"truth.{suffix}")]
+    (tracked := folder / "tracked").mkdir()
+    write_trc(tracked / "joints.trc", motion.times + 4, late)
+    arguments = ["evaluate", str(tracked), str(folder / f"truth.{suffix}")]
     arguments += ["--match", f"elbow_l={elbow}", "--json", str(folder / "errors.json")]
     assert main([*arguments, "--offset", "4"]) == 0
     errors = evaluate_directory(folder, folder / f"truth.{suffix}", {"elbow_l": elbow}, offset=4)

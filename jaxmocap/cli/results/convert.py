@@ -8,13 +8,14 @@ import argparse
 from pathlib import Path
 
 from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import picture_size, positive_number
+from jaxmocap.cli.option_types import add_up, picture_size, positive_number
 from jaxmocap.cli.reporting import report
 
 FORMATS_TEXT = """\
 Markers: .c3d .trc .csv. Motions: .npz .bvh .glb .mot; their joints can become markers. What a
 format cannot hold is left out, with a warning. .bvh and .glb are Y up, facing Z, their rest pose a
-T with the arms out to the sides; joints made of them are Z up. Markers keep their file's axes.
+T with the arms out to the sides; joints made of them are Z up. Markers keep their file's axes. With
+--up y markers and joints that are Z up are written Y up.
 
 Calibrations of Qualisys, Vicon, Motive, OpenCap, EasyMocap, Caliscope, FreeMoCap and anipose become
 .toml: metres, Z up (jaxmocap help calibrate)."""
@@ -26,8 +27,13 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("target", metavar="TO")
     parser.add_argument(
         "--names",
-        choices=("jaxmocap", "vrm", "humanik", "smpl", "isb"),
-        help="what joints are called; default: humanik in .bvh, vrm in .glb, else as they are",
+        choices=("jaxmocap", "vrm", "humanik", "smpl", "isb", "opensim"),
+        help="what joints are called; default: humanik in .bvh, vrm in .glb, else as they are. "
+        "opensim is for a .mot: the coordinates of OpenSim's full-body model (Rajagopal 2016), "
+        "always Y up",
+    )
+    add_up(
+        parser, "vertical axis of the .trc, .c3d or .csv written; default: as it is, Z for joints"
     )
     parser.add_argument(
         "--unit",
@@ -75,6 +81,7 @@ def _run(options: argparse.Namespace) -> None:
         options.rate,
         options.body,
         options.angles,
+        up=options.up,
         source_up=options.source_up,
         size=options.size,
     )

@@ -7,7 +7,7 @@ exit code 1 where the body is far off its markers.
 import argparse
 
 from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import positive_number
+from jaxmocap.cli.option_types import add_up, positive_number
 from jaxmocap.cli.recording_options import add_cameras, add_refine, recording_of
 from jaxmocap.cli.reporting import exit_code, report
 
@@ -47,23 +47,31 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--height", metavar="M", type=positive_number, help="metres, in place of the [subject]"
     )
+    parser.add_argument(
+        "--names",
+        choices=("opensim",),
+        help="write angles_opensim.mot as well: the coordinates of OpenSim's full-body model "
+        "(Rajagopal 2016), always Y up",
+    )
+    add_up(parser, "vertical axis of joints.trc; default: z")
 
 
 def _run(options: argparse.Namespace) -> int:
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.summary import figures, misfit, summary
     from jaxmocap.pipelines.tracking.track import choose_settings, track
-    from jaxmocap.pipelines.writing import tracked_folder, write_outputs
+    from jaxmocap.pipelines.writing import MotionFormats, tracked_folder, write_outputs
 
     keep_compiled()
     recording = recording_of(options)
     settings = choose_settings(options.refine, options.evidence, options.paper)
     mode = options.mode or ("nearest" if options.paper else "own")
+    formats = MotionFormats(options.up or "z", options.names)
     # Whether the folder can be written to, before any work.
-    tracked_folder(options.out, recording)
+    tracked_folder(options.out, recording, formats.more_files)
     motion = track(recording, settings, mode=mode, progress=True)
     warnings: list[str] = []
-    files = write_outputs(motion, recording, options.out, settings, True, warnings.append)
+    files = write_outputs(motion, recording, options.out, settings, True, warnings.append, formats)
     given = motion, files, warnings
     report(options, summary(*given), figures(*given))
     problem = misfit(motion)

@@ -1,17 +1,21 @@
-"""From a file's axes to the world's, Z up.
+"""From a file's axes to the world's, Z up, and back.
 
-INPUTS: ``up`` ("z" or "y") or ``to_world`` (3 × 3) of a table in a recording.
-OUTPUTS: the matrix that takes the file's points to the world.
+INPUTS: ``up`` ("z" or "y") or ``to_world`` (3 × 3) of a table in a recording; Markers.
+OUTPUTS: the matrix that takes the file's points to the world; Markers in a file's axes.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
 from jaxmocap.formats.cameras.calibration import is_orthonormal
 from jaxmocap.formats.files.short_repr import short_repr
 from jaxmocap.formats.files.toml import TomlTable
+from jaxmocap.formats.time_series.tables import Markers
 
+Z_UP, Y_UP = "z", "y"
 # "y" is the cyclic permutation that OpenSim and Pose2Sim use: world = (z, x, y) of the file.
-R_WORLD_OF_UP = {"z": np.eye(3), "y": np.eye(3)[[2, 0, 1]]}
+R_WORLD_OF_UP = {Z_UP: np.eye(3), Y_UP: np.eye(3)[[2, 0, 1]]}
 
 
 def read_axes(fields: TomlTable) -> np.ndarray:
@@ -40,3 +44,14 @@ def to_world(R_world_file: np.ndarray, positions_file: np.ndarray) -> np.ndarray
     if (R_world_file == np.eye(3)).all():
         return positions_file
     return positions_file @ R_world_file.T
+
+
+def from_world(markers: Markers, up: str) -> Markers:
+    """Markers of the world in the axes of a file that is Z up or Y up."""
+    R_world_file = R_WORLD_OF_UP[up]
+    orientations = markers.orientations
+    return replace(
+        markers,
+        positions=to_world(R_world_file.T, markers.positions),
+        orientations=None if orientations is None else R_world_file.T @ orientations,
+    )

@@ -1,4 +1,4 @@
-"""MOT: joint angles over time, in the table that OpenSim reads and writes.
+"""MOT: joint angles over time, in the file format of OpenSim's motions.
 
 INPUTS: a Motion; or a .mot (or .sto) file and the skeleton it is of.
 OUTPUTS: a .mot file of hinges or of ISB's angles; or its columns, or a Motion.
@@ -7,7 +7,7 @@ A file of hinges has the pelvis' place (``pelvis_tx``, ``_ty``, ``_tz``: metres,
 its turns (``pelvis_yaw`` about the world's vertical, then ``pelvis_pitch`` about its own left axis,
 then ``pelvis_roll`` about its own forward axis) and every joint's angle by its name, in degrees,
 without jumps at ±180°. Bones are not in it. A file of ISB's angles has those of ``body.isb``, from
-which no motion can be read.
+which no motion can be read; those of OpenSim's model are in ``formats.opensim``.
 """
 
 from collections.abc import Iterator, Mapping
@@ -52,16 +52,16 @@ def write_mot(path: str | Path, motion: Motion) -> None:
         turns[is_finite] = np.unwrap(R_world_pelvis.as_euler(_EULER_ORDER), axis=0)
     angles = np.degrees(np.concatenate([turns, np.asarray(motion.poses.angles, float)], 1))
     table = np.concatenate([motion.positions_world, angles], 1)
-    _write_table(Path(path), motion.times, dict(zip(names, table.T, strict=True)))
+    write_table(Path(path), motion.times, dict(zip(names, table.T, strict=True)))
 
 
 def write_isb(path: str | Path, motion: Motion) -> None:
     """Write the angles of ISB's joint coordinate systems; NaN where a pose is unknown."""
     columns = {name: np.degrees(angle) for name, angle in isb_angles(motion).items()}
-    _write_table(Path(path), motion.times, columns)
+    write_table(Path(path), motion.times, columns)
 
 
-def _write_table(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray]) -> None:
+def write_table(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray]) -> None:
     """Write columns (T,), degrees but for places."""
     head = [path.stem, "version=1", f"nRows={len(times)}", f"nColumns={len(columns) + 1}"]
     lines = [*head, "inDegrees=yes", "endheader", "\t".join(["time", *columns])]
@@ -128,9 +128,10 @@ def motion_from_angles(
     names = (*TRANSLATION_COLUMNS, *ROTATION_COLUMNS, *skeleton.tree.joints)
     missing = [name for name in names if name not in columns]
     if missing:
-        if "pelvis_tilt" in columns:
-            problem = "holds ISB's angles, which hinges cannot be read from"
-            raise InputError(path, problem)
+        for column, content in (("pelvis_list", "OpenSim's coordinates"),
+                                ("pelvis_tilt", "ISB's angles")):  # fmt: skip
+            if column in columns:
+                raise InputError(path, f"holds {content}, which hinges cannot be read from")
         raise InputError(path, f"no column {missing[0]!r}, found {comma_list(columns)}")
     table = np.stack([columns[name] for name in names], 1)
     is_finite = np.isfinite(table.sum(-1))

@@ -1,0 +1,4 @@
+"""OpenSim: the coordinates of a published full-body model.
+
+Begin with ``coordinates``.
+"""

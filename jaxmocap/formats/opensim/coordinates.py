@@ -1,0 +1,261 @@
+"""A motion as the coordinates of OpenSim's full-body model (Rajagopal et al. 2016).
+
+INPUTS: a Motion. OUTPUTS: coordinates over time by the model's names, signs and axes; a .mot file,
+Y up, that OpenSim's tools read.
+
+x, y, z of the file are y, z, x of our world, as ``up = "y"`` of a recording has it. Each coordinate
+puts the model's bodies where ours are:
+
+- pelvis and thorax: their orientations; the origin of the pelvis such that the midpoints of the
+  hips agree, for a pelvis as high and deep for its thigh as the model's;
+- thigh and shank, upper arm and forearm: their directions, and the plane in which they bend. The
+  model's oblique elbow and its moving knee are in ``rajagopal``;
+- ankle, rotation of the forearm, wrist: between the bones, of bodies that have such joints.
+
+The model has one joint in the back, no neck and no clavicle. Where our body has no joint, the
+coordinate is constant: 0, but 90 degrees of ``pro_sup``, which are thumbs forward. Samples without
+a pose are left out, since OpenSim has no missing values.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.orientations import about, body_turns, matrices
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.opensim import rajagopal
+from jaxmocap.formats.opensim.rajagopal import Limb
+from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP, Y_UP
+from jaxmocap.formats.time_series.isb import (
+    LIMB_JOINTS,
+    MIRROR,
+    R_BONE_ISB,
+    isb_angles,
+    made_by_hinges,
+)
+from jaxmocap.formats.time_series.mot import write_table
+from jaxmocap.geometry.euler import continuous_euler
+
+# The name of this convention among those of joints.
+OPENSIM = "opensim"
+_ROOT = ("pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz")
+_LUMBAR = ("lumbar_extension", "lumbar_bending", "lumbar_rotation")
+_HIP = ("hip_flexion_{}", "hip_adduction_{}", "hip_rotation_{}")
+# The patella follows the knee.
+_KNEE = ("knee_angle_{}", "knee_angle_{}_beta")
+_FOOT = ("ankle_angle_{}", "subtalar_angle_{}", "mtp_angle_{}")
+_SHOULDER = ("arm_flex_{}", "arm_add_{}", "arm_rot_{}")
+_FOREARM = ("elbow_flex_{}", "pro_sup_{}", "wrist_flex_{}", "wrist_dev_{}")
+# In the order of the model's file.
+COORDINATES = (
+    *_ROOT,
+    *(name.format(side) for side in "rl" for name in (*_HIP, *_KNEE, *_FOOT)),
+    *_LUMBAR,
+    *(name.format(side) for side in "rl" for name in (*_SHOULDER, *_FOREARM)),
+)
+# A fit of two angles to an orientation converges from 0 in fewer.
+_FOOT_ROUNDS = 12
+
+
+def write_opensim(path: str | Path, motion: Motion) -> list[str]:
+    """Write the coordinates of a motion, degrees and metres.
+
+    Returns:
+        Sentences on what was left out.
+
+    Raises:
+        InputError: no sample has a pose.
+    """
+    is_measured = np.isfinite(np.asarray(motion.poses.quaternion, float).sum(-1))
+    if not is_measured.any():
+        raise InputError(path, "no sample has a pose, and OpenSim has no missing values")
+    columns = opensim_coordinates(_samples(motion, is_measured))
+    degrees = {
+        name: values if name in _ROOT[3:] else np.degrees(values)
+        for name, values in columns.items()
+    }
+    write_table(Path(path), motion.times[is_measured], degrees)
+    sentences = ["left out: neck and clavicles, which OpenSim's model does not have"]
+    if missing := int((~is_measured).sum()):
+        sentences.append(f"left out: {missing} samples without a pose, which OpenSim cannot read")
+    return sentences
+
+
+def _samples(motion: Motion, chosen: np.ndarray) -> Motion:
+    """A motion's samples where (T,) booleans are true."""
+    parts = (np.asarray(part, float)[chosen] for part in motion.poses)
+    poses = Pose(*parts)  # type: ignore[arg-type]
+    return replace(motion, times=motion.times[chosen], poses=poses, report=None)
+
+
+def opensim_coordinates(motion: Motion) -> dict[str, np.ndarray]:
+    """Each of the ``COORDINATES`` -> (T,) radians, without jumps, and metres of the pelvis.
+
+    Args:
+        motion: whose samples all have a pose.
+    """
+    skeleton = motion.skeleton
+    R_pelvis_bone = R_BONE_ISB.T @ _bone_turns(motion) @ R_BONE_ISB
+    R_file_pelvis = (
+        R_WORLD_OF_UP[Y_UP].T @ matrices(np.asarray(motion.poses.quaternion, float)) @ R_BONE_ISB
+    )
+    R_thorax = R_pelvis_bone[:, skeleton.tree.bone("spine3")]
+    limbs = {
+        (part, side): _limb_turns(skeleton, R_thorax, R_pelvis_bone, part, side)
+        for side in "rl"
+        for part in ("leg", "arm")
+    }
+    turns = [R_file_pelvis, R_thorax, *(R_near for R_near, _ in limbs.values())]
+    names = [_ROOT[:3], _LUMBAR, *({"leg": _HIP, "arm": _SHOULDER}[part] for part, _ in limbs)]
+    sides = ["", "", *(side for _, side in limbs)]
+    columns = {
+        name.format(side): angles
+        for triple, side, three in zip(names, sides, _near_zero(turns), strict=True)
+        for name, angles in zip(triple, three.T, strict=True)
+    }
+    columns |= dict(zip(_ROOT[3:], _pelvis_places(motion, R_file_pelvis).T, strict=True))
+    hands = isb_angles(motion)
+    for (part, side), (R_near, angle) in limbs.items():
+        if part == "leg":
+            columns |= dict.fromkeys((name.format(side) for name in _KNEE), angle)
+            columns |= _foot(skeleton, R_pelvis_bone, side)
+        else:
+            R_radius = R_thorax.swapaxes(-1, -2) @ R_pelvis_bone[:, _bone(skeleton, "radius", side)]
+            columns[f"elbow_flex_{side}"] = angle
+            columns[f"pro_sup_{side}"] = _pronation(
+                skeleton, R_near, angle, _mirrored(R_radius, side), side
+            )
+            for ours, name in (("flexion", "wrist_flex"), ("deviation", "wrist_dev")):
+                columns[f"{name}_{side}"] = hands.get(f"wrist_{ours}_{side}", 0.0 * angle)
+    return {name: columns[name] for name in COORDINATES}
+
+
+def _bone_turns(motion: Motion) -> np.ndarray:
+    return body_turns(motion.skeleton, np.asarray(motion.poses.angles, float))
+
+
+def _bone(skeleton: Skeleton, bone: str, side: str) -> int:
+    return skeleton.tree.bone(f"{bone}_{side}")
+
+
+def _mirrored(R: np.ndarray, side: str) -> np.ndarray:
+    """Rotations (T, 3, 3) of a left limb as those of a right one."""
+    return MIRROR @ R @ MIRROR if side == "l" else R
+
+
+def _limb_turns(
+    skeleton: Skeleton, R_thorax: np.ndarray, R_pelvis_bone: np.ndarray, part: str, side: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """The model's near body (T, 3, 3) in pelvis or thorax, and the angle (T,) of knee or elbow.
+
+    The far segment is bent about our hinge, which lies across both, however straight they are.
+    """
+    is_leg = part == "leg"
+    limb: Limb = rajagopal.leg() if is_leg else rajagopal.arm()
+    bones = [_bone(skeleton, b, side) for b in (("femur", "tibia") if is_leg else
+                                                ("humerus", "radius"))]  # fmt: skip
+    R_base = np.eye(3) if is_leg else R_thorax.swapaxes(-1, -2)
+    R_near, R_far = (_mirrored(R_base @ R_pelvis_bone[:, bone], side) for bone in bones)
+    along, beyond = (
+        R @ _mirrored_direction(skeleton, bone, side)
+        for R, bone in zip((R_near, R_far), bones, strict=True)
+    )
+    hinge = R_near[..., 2] * (-1.0 if is_leg else 1.0)
+    across = np.cross(along, beyond)
+    angle, normal = limb.bent(np.arctan2((across * hinge).sum(-1), (along * beyond).sum(-1)))
+    ours, models = _frames(along, hinge), _frames(np.broadcast_to(limb.near, along.shape), normal)
+    return ours @ models.swapaxes(-1, -2), angle
+
+
+def _mirrored_direction(skeleton: Skeleton, bone: int, side: str) -> np.ndarray:
+    direction = R_BONE_ISB.T @ np.asarray(skeleton.directions, float)[bone]
+    return MIRROR @ direction if side == "l" else direction
+
+
+def _frames(along: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Rotations (T, 3, 3) whose first axis is (T, 3) along, their second nearest to normal."""
+    second = normal - (normal * along).sum(-1, keepdims=True) * along
+    second = second / np.linalg.norm(second, axis=-1, keepdims=True)
+    return np.stack([along, second, np.cross(along, second)], -1)
+
+
+def _near_zero(turns: list[np.ndarray]) -> list[np.ndarray]:
+    """Angles (T, 3) about z, x and y of each of (T, 3, 3) turns: of both ways the smaller."""
+    chosen = []
+    for angles in np.moveaxis(continuous_euler(np.stack(turns, 1), "ZXY"), 1, 0):
+        other = angles * [1, -1, 1] + np.pi
+        other = other - 2 * np.pi * np.round(np.median(other, 0) / (2 * np.pi))
+        sizes = [np.abs(each).sum(-1).mean() for each in (angles, other)]
+        chosen.append(angles if sizes[0] <= sizes[1] else other)
+    return chosen
+
+
+def _pelvis_places(motion: Motion, R_file_pelvis: np.ndarray) -> np.ndarray:
+    """Origins (T, 3) of the model's pelvis, the file's axes, metres."""
+    skeleton = motion.skeleton
+    lengths = np.asarray(skeleton.lengths, float)
+    hips = [_bone(skeleton, "hip", side) for side in "lr"]
+    reach = lengths[hips, None] * np.asarray(skeleton.directions)[hips]
+    thigh = lengths[[_bone(skeleton, "femur", side) for side in "lr"]].mean()
+    from_origin = rajagopal.HIP * [1.0, 1.0, 0.0] * thigh / rajagopal.leg().length
+    to_middle = R_file_pelvis @ (R_BONE_ISB.T @ reach.mean(0) - from_origin)
+    return motion.positions_world @ R_WORLD_OF_UP[Y_UP] + to_middle
+
+
+def _pronation(
+    skeleton: Skeleton, R_humerus: np.ndarray, elbow: np.ndarray, R_radius: np.ndarray, side: str
+) -> np.ndarray:
+    """``pro_sup`` (T,) that points the thumb as ours does; constant where no joint does.
+
+    Args:
+        skeleton: ours.
+        R_humerus: (T, 3, 3) of the model's, mirrored as all that follows.
+        elbow: (T,) ``elbow_flex``.
+        R_radius: (T, 3, 3) of ours.
+        side: "l" or "r".
+    """
+    joint = next(joint for joint in LIMB_JOINTS if joint.name == "elbow")
+    if 2 not in made_by_hinges(skeleton, joint, side):
+        return np.full(len(elbow), rajagopal.THUMB_FORWARD)
+    R_ulna = R_humerus @ about(rajagopal.ELBOW_AXIS, elbow)
+    axis, supine = R_ulna @ rajagopal.PRO_SUP_AXIS, R_ulna[..., 2]
+    thumb = R_radius[..., 0]
+    sine = (axis * np.cross(supine, thumb)).sum(-1)
+    cosine = (supine * thumb).sum(-1) - (axis * supine).sum(-1) * (axis * thumb).sum(-1)
+    return np.unwrap(np.arctan2(sine, cosine))
+
+
+def _foot(skeleton: Skeleton, R_pelvis_bone: np.ndarray, side: str) -> dict[str, np.ndarray]:
+    """Angles (T,) about the model's oblique axes that are nearest to our foot's orientation."""
+    angles = np.zeros((len(R_pelvis_bone), 2))
+    joint = next(joint for joint in LIMB_JOINTS if joint.name == "ankle")
+    if made_by_hinges(skeleton, joint, side):
+        tibia, foot = (R_pelvis_bone[:, _bone(skeleton, b, side)] for b in ("tibia", "foot"))
+        angles = _two_hinges(
+            _mirrored(tibia.swapaxes(-1, -2) @ foot, side),
+            rajagopal.ANKLE_AXIS,
+            rajagopal.SUBTALAR_AXIS,
+        )
+    columns = (*angles.T, np.zeros(len(angles)))
+    return {name.format(side): column for name, column in zip(_FOOT, columns, strict=True)}
+
+
+def _two_hinges(R: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Angles (T, 2) about two axes, in turn, that are nearest to (T, 3, 3) rotations."""
+    angles = np.zeros((len(R), 2))
+    for _ in range(_FOOT_ROUNDS):
+        R_first, R_second = about(first, angles[:, 0]), about(second, angles[:, 1])
+        rest = (R_first @ R_second).swapaxes(-1, -2) @ R
+        error = np.stack([rest[:, 2, 1] - rest[:, 1, 2], rest[:, 0, 2] - rest[:, 2, 0],
+                          rest[:, 1, 0] - rest[:, 0, 1]], -1) / 2  # fmt: skip
+        # Both axes in the frame that the two turns leave.
+        axes = np.stack(
+            [R_second.swapaxes(-1, -2) @ first, np.broadcast_to(second, error.shape)], -1
+        )
+        normal = axes.swapaxes(-1, -2) @ axes
+        angles += np.linalg.solve(normal, (axes.swapaxes(-1, -2) @ error[..., None]))[..., 0]
+    return angles
