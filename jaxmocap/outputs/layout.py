@@ -9,12 +9,16 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from jaxmocap.outputs.floor import Floor
 from jaxmocap.outputs.scene import BodyScene
 
 TIMELINE = "time"
+# Root entities of time series that several recorders log.
+ANGLES, DEVIATIONS = "joint_angles", "elbow_deviations"
 # Entity -> title of its view; the first two are shown at once.
 SERIES = {
-    "elbow_deviations": "Elbows [± cm]",
+    ANGLES: "Joint angles [°]",
+    DEVIATIONS: "Elbows [± cm]",
     "marker_errors": "Marker errors [mm]",
     "arm_costs": "Arm costs [px]",
     "swivel": "Swivel by video [°]",
@@ -22,9 +26,16 @@ SERIES = {
 }
 
 
+# RGB behind the body, and of the floor's grid with its opacity.
+BACKGROUND, GRID_COLOUR = (222, 227, 233), (120, 130, 142, 110)
+# Metres between the grid's lines, and their width in points of the screen.
+GRID_M, GRID_WIDTH = 0.5, 0.8
+
+
 def lay_out(
     cameras: Mapping[str, list[str]],
     scene: BodyScene,
+    floor: Floor | None = None,
     series: Mapping[str, str] = SERIES,
     live: bool = False,
 ) -> rrb.Blueprint:
@@ -35,10 +46,17 @@ def lay_out(
     Args:
         cameras: camera name -> names of its fields.
         scene: shown from the front left.
+        floor: under it, shown with a grid.
         series: entities of time series and titles of their views.
         live: whether data still come.
     """
-    body = rrb.Spatial3DView(origin="/world", name="Body", eye_controls=_eye(scene))
+    body = rrb.Spatial3DView(
+        origin="/world",
+        name="Body",
+        eye_controls=_eye(scene),
+        background=rrb.Background(color=BACKGROUND, kind=rrb.BackgroundKind.SolidColor),
+        line_grid=_grid(floor),
+    )
     top: list[rrb.View | rrb.Container] = [body]
     if cameras:
         top.append(_camera_views(cameras))
@@ -53,6 +71,16 @@ def lay_out(
         _time_panel(live),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
+    )
+
+
+def _grid(floor: Floor | None) -> rrb.LineGrid3D:
+    return rrb.LineGrid3D(
+        floor is not None,
+        spacing=GRID_M,
+        plane=rr.components.Plane3D((0.0, 0.0, 1.0), floor.height_m if floor else 0.0),
+        stroke_width=GRID_WIDTH,
+        color=GRID_COLOUR,
     )
 
 
@@ -103,11 +131,15 @@ def _by_camera(
     ]
 
 
-def _eye(scene: BodyScene) -> rrb.EyeControls3D:
-    """Far enough ahead of the first pose to see the whole body."""
-    centre = (scene.near[0].min(0) + scene.near[0].max(0)) / 2
-    size = float(np.linalg.norm(np.ptp(scene.near[0], axis=0)))
-    ahead, left = scene.R_world_bone[0, 0, :, 0], scene.R_world_bone[0, 0, :, 1]
+def _eye(scene: BodyScene) -> rrb.EyeControls3D | None:
+    """Far enough ahead of the first known pose to see the whole body."""
+    known = np.flatnonzero(np.isfinite(scene.near).all((1, 2)))
+    if not len(known):
+        return None
+    near, R_world_bone = scene.near[known[0]], scene.R_world_bone[known[0]]
+    centre = (near.min(0) + near.max(0)) / 2
+    size = float(np.linalg.norm(np.ptp(near, axis=0)))
+    ahead, left = R_world_bone[0, :, 0], R_world_bone[0, :, 1]
     away = ahead + 0.5 * left + np.array([0.0, 0.0, 0.35])
     position = centre + 1.3 * size * away
     return rrb.EyeControls3D(position=position, look_target=centre, eye_up=(0.0, 0.0, 1.0))

@@ -15,8 +15,10 @@ import rerun as rr
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surfaces.pieces import body_pieces
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.outputs import layout, recorder
+from jaxmocap.outputs import camera_recorder, layout, recorder, series_recorder
+from jaxmocap.outputs.floor import floor_of
 from jaxmocap.outputs.scene import BodyScene, make_scene
 
 # Seconds between snapshots that are sent.
@@ -24,7 +26,8 @@ INTERVAL_S = 1 / 25
 # ``close`` waits at most so many seconds for the one being sent.
 CLOSE_TIMEOUT_S = 3.0
 LATENCY = "latency"
-SERIES = {"elbow_deviations": "Elbows [± cm]", "milliseconds": "Latency [ms]"}
+SERIES = {name: layout.SERIES[name] for name in (layout.ANGLES, layout.DEVIATIONS)}
+SERIES |= {"milliseconds": "Latency [ms]"}
 JPEG_QUALITY = 60
 
 
@@ -66,16 +69,19 @@ class LiveView:
         self.problem: str | None = None
         self._stream = rr.RecordingStream("jaxmocap live")
         self._stream.connect_grpc(url)
-        standing = self._scene(0.0, pose)
-        blueprint = layout.lay_out({name: [] for name in cameras}, standing, SERIES, live=True)
-        self._stream.send_blueprint(blueprint)
-        recorder.log_limbs(self._stream, skeleton)
+        standing, pieces = self._scene(0.0, pose), body_pieces(skeleton)
+        floor = floor_of(standing, pieces)
+        fields = {name: [] for name in cameras}
+        self._stream.send_blueprint(layout.lay_out(fields, standing, floor, SERIES, live=True))
+        recorder.log_pieces(self._stream, skeleton.tree, pieces, floor)
         recorder.log_moment(self._stream, standing)
-        for i, name in enumerate((*recorder.SIDES, LATENCY)):
-            root = "milliseconds" if name == LATENCY else "elbow_deviations"
-            recorder.log_line(self._stream, root, name, i)
+        self._joints = series_recorder.shown_joints(skeleton.tree)
+        lines = {layout.ANGLES: self._joints, layout.DEVIATIONS: series_recorder.SIDES}
+        for root, names in (lines | {"milliseconds": (LATENCY,)}).items():
+            for i, name in enumerate(names):
+                series_recorder.log_line(self._stream, root, name, i)
         for name, camera in cameras.items():
-            recorder.log_camera(self._stream, name, camera)
+            camera_recorder.log_camera(self._stream, name, camera)
         self._lock, self._stop, self._newest = Lock(), Event(), None
         self._thread = Thread(target=self._send, name="viewer", daemon=True)
         self._thread.start()
@@ -112,13 +118,15 @@ class LiveView:
         scene = self._scene(snapshot.time, snapshot.pose)
         recorder.log_moment(self._stream, scene)
         for name, image in snapshot.images.items():
-            recorder.log_images(self._stream, name, [(snapshot.time, image)], JPEG_QUALITY)
-            recorder.log_outlines(
+            camera_recorder.log_images(self._stream, name, [(snapshot.time, image)], JPEG_QUALITY)
+            camera_recorder.log_outlines(
                 self._stream, name, self._cameras[name], scene, np.array([snapshot.time])
             )
-        values = {
-            side: 100 * float(each)
-            for side, each in zip(recorder.SIDES, snapshot.deviations, strict=True)
-        }
-        recorder.log_values(self._stream, "elbow_deviations", values)
-        recorder.log_values(self._stream, "milliseconds", {LATENCY: snapshot.latency_ms})
+        angles = np.degrees(np.asarray(snapshot.pose.angles, float))
+        deviations = 100 * np.asarray(snapshot.deviations, float)
+        for root, values in (
+            (layout.ANGLES, {name: angles[i] for name, i in self._joints.items()}),
+            (layout.DEVIATIONS, dict(zip(series_recorder.SIDES, deviations, strict=True))),
+            ("milliseconds", {LATENCY: snapshot.latency_ms}),
+        ):
+            series_recorder.log_values(self._stream, root, values)

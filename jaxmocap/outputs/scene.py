@@ -50,16 +50,23 @@ class BodyScene:
 
         None where the time lies more than a sample outside.
         """
-        times = self.times
-        after = int(np.clip(np.searchsorted(times, time), 1, max(len(times) - 1, 1)))
-        before, after = after - 1, min(after, len(times) - 1)
-        step = times[after] - times[before]
-        part = (time - times[before]) / step if step > 0 else time - times[before]
-        if not -1.0 <= part <= 2.0:
+        if (between := neighbours(self.times, time)) is None:
             return None
-        part = float(np.clip(part, 0.0, 1.0))
+        before, after, part = between
         near = (1 - part) * self.near[before] + part * self.near[after]
         return near, (1 - part) * self.far[before] + part * self.far[after]
+
+
+def neighbours(times: np.ndarray, time: float) -> tuple[int, int, float] | None:
+    """The samples before and after a time, and how far it lies from the first to the second.
+
+    None where the time lies more than a sample outside of times (T,), seconds.
+    """
+    after = int(np.clip(np.searchsorted(times, time), 1, max(len(times) - 1, 1)))
+    before, after = after - 1, min(after, len(times) - 1)
+    step = times[after] - times[before]
+    part = (time - times[before]) / step if step > 0 else time - times[before]
+    return (before, after, float(np.clip(part, 0.0, 1.0))) if -1.0 <= part <= 2.0 else None
 
 
 def make_scene(motion: Motion) -> BodyScene:

@@ -13,9 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxmocap.body.motion import Motion
+from jaxmocap.body.surfaces.pieces import body_pieces
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.outputs.ellipses import Uncertainty, uncertainty_of
+from jaxmocap.outputs.floor import floor_of
 from jaxmocap.outputs.scene import BodyScene, make_scene
 
 if TYPE_CHECKING:
@@ -52,31 +55,34 @@ def write_rerun(
 
     Args:
         path: of the .rrd file; it appears when it is complete.
-        motion: shown as limbs and skeleton; with a report also time series and standard deviations.
+        motion: shown as a body on a floor; with a report also time series and standard deviations.
         footage: camera name -> its frames.
         targets: marker -> (T, 3) measured positions at the motion's times, world, metres.
         jpeg_quality: of the images, 1 to 100.
-        surface: of the body, shown in place of the limbs' solids.
+        surface: of the body, shown in place of a generic one.
         picture: the surface's colours, as for ``log_skin``.
 
     Raises:
         OutputError: the disk is full; what was there before is as it was.
     """
-    from jaxmocap.outputs import layout, recorder, viewer_skin
+    from jaxmocap.outputs import layout, recorder, series_recorder, viewer_skin
 
     footage, targets = dict(footage or {}), dict(targets or {})
-    scene = make_scene(motion)
-    blueprint = layout.lay_out({name: list(shot.fields) for name, shot in footage.items()}, scene)
+    scene, pieces = make_scene(motion), body_pieces(motion.skeleton)
+    floor, uncertainty = floor_of(scene, pieces), uncertainty_of(motion)
+    fields = {name: list(shot.fields) for name, shot in footage.items()}
+    blueprint = layout.lay_out(fields, scene, floor)
     with replacing(path) as beside, recorder.recording(beside, blueprint) as stream:
-        recorder.log_body(stream, motion, scene, limbs=surface is None)
+        recorder.log_body(stream, scene, {} if surface else pieces, floor)
         if surface is not None:
             viewer_skin.log_skin(stream, motion, surface, picture)
         recorder.log_deviations(stream, motion)
         recorder.log_targets(stream, scene.times, targets)
+        series_recorder.log_angles(stream, motion)
         if motion.report is not None:
-            recorder.log_report(stream, scene.times, motion.report)
+            series_recorder.log_report(stream, scene.times, motion.report)
         for name, shot in footage.items():
-            _log_footage(stream, name, shot, scene, targets, jpeg_quality)
+            _log_footage(stream, name, shot, scene, uncertainty, targets, jpeg_quality)
 
 
 def _log_footage(
@@ -84,15 +90,18 @@ def _log_footage(
     name: str,
     shot: Footage,
     scene: BodyScene,
+    uncertainty: Uncertainty | None,
     targets: Mapping[str, np.ndarray],
     jpeg_quality: int,
 ) -> None:
-    """One camera: its images, the body and the markers over them, its fields."""
-    from jaxmocap.outputs import recorder
+    """One camera: its images, the body, ellipses and markers over them, its fields."""
+    from jaxmocap.outputs import camera_recorder
 
-    recorder.log_camera(stream, name, shot.camera)
-    times = recorder.log_images(stream, name, shot.frames, jpeg_quality)
-    recorder.log_outlines(stream, name, shot.camera, scene, times)
-    recorder.log_projected_targets(stream, name, shot.camera, scene.times, targets)
+    camera_recorder.log_camera(stream, name, shot.camera)
+    times = camera_recorder.log_images(stream, name, shot.frames, jpeg_quality)
+    camera_recorder.log_outlines(stream, name, shot.camera, scene, times)
+    if uncertainty is not None:
+        camera_recorder.log_ellipses(stream, name, shot.camera, uncertainty, times)
+    camera_recorder.log_projected_targets(stream, name, shot.camera, scene.times, targets)
     for label, images in shot.fields.items():
-        recorder.log_field(stream, name, label, images)
+        camera_recorder.log_field(stream, name, label, images)

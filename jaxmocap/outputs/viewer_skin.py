@@ -17,13 +17,12 @@ from jaxmocap.body.surfaces.mesh import SurfaceMesh, atlas_of, coarser, mesh_of,
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.formats.armatures.skin import TEXEL_M
 from jaxmocap.outputs.layout import TIMELINE
+from jaxmocap.outputs.recorder import SKIN_COLOUR
 
 # Metres between nodes; with MOST_POSES some six megabytes of a recording.
 SPACING_M = 0.045
 # Poses of the skin in a recording.
 MOST_POSES = 150
-# RGBA: the skeleton is visible through it.
-SKIN_COLOUR = (205, 175, 150, 150)
 
 
 def log_skin(

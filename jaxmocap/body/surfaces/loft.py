@@ -67,17 +67,31 @@ def generic_surface(skeleton: Skeleton, girth: float = 1.0) -> Surface:
     grids, shares = {}, {}
     for limb in lofted_parts():
         places = ring_places(skeleton, limb, stature)
-        phi = 2 * np.pi * np.arange(limb.around) / limb.around
-        size = stature * girth ** PchipInterpolator(limb.at, limb.stout)(places)[:, None]
-        radii = size * radii_at(limb, places, phi)
-        centres, cosine, sine = ring_frames(skeleton, limb, places, stature)
-        shifts = size * PchipInterpolator(limb.at, limb.shifts)(places)
-        ahead = radii * np.cos(phi) + shifts[:, :1]
-        outwards = radii * np.sin(phi) + shifts[:, 1:]
-        grid = centres[:, None] + ahead[..., None] * cosine + outwards[..., None] * sine
-        grids[limb.name] = grid
+        grids[limb.name] = lofted_rings(skeleton, limb, places, limb.around, girth)
         shares[limb.name] = bone_shares(skeleton.tree, limb, places, grids[limb.name], joints)
     return surface_from_rest(grids, shares, joints)
+
+
+def lofted_rings(
+    skeleton: Skeleton, limb: LoftedPart, places: np.ndarray, around: int, girth: float = 1.0
+) -> np.ndarray:
+    """Rings (R, around, 3) of a limb with all angles 0, from the pelvis, metres.
+
+    Args:
+        skeleton: scaled to the person.
+        limb: of the table.
+        places: (R,) of the rings; the first and the last are points, which close the ends.
+        around: nodes of a ring.
+        girth: as for ``generic_surface``.
+    """
+    stature, phi = stature_of(skeleton), 2 * np.pi * np.arange(around) / around
+    size = stature * girth ** PchipInterpolator(limb.at, limb.stout)(places)[:, None]
+    radii = size * radii_at(limb, places, phi)
+    centres, cosine, sine = ring_frames(skeleton, limb, places, stature)
+    shifts = size * PchipInterpolator(limb.at, limb.shifts)(places)
+    ahead = radii * np.cos(phi) + shifts[:, :1]
+    outwards = radii * np.sin(phi) + shifts[:, 1:]
+    return centres[:, None] + ahead[..., None] * cosine + outwards[..., None] * sine
 
 
 def rest_joints(skeleton: Skeleton) -> np.ndarray:

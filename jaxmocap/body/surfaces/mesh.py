@@ -148,7 +148,8 @@ def mesh_of(surface: Surface, nodes: np.ndarray, atlas: Atlas) -> SurfaceMesh:
         x = rectangle.left + column / patch.around * (rectangle.width - 1)
         y = rectangle.top + rectangle.levels[ring] * (rectangle.height - 1)
         places.append(np.stack([x + 0.5, y + 0.5], 1) / [atlas.width, atlas.height])
-        triangles.append(count + _outwards(nodes[own], grid_triangles(patch.along, patch.around)))
+        faces = grid_triangles(patch.along, patch.around)
+        triangles.append(count + facing_outwards(nodes[own], faces))
         numbers.append(own)
         count += len(own)
     return SurfaceMesh(np.concatenate(numbers), np.concatenate(places), np.concatenate(triangles))
@@ -162,7 +163,7 @@ def grid_triangles(along: int, around: int) -> np.ndarray:
     return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
 
-def _outwards(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def facing_outwards(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """The triangles, turned over where the volume within them would be negative."""
     a, b, c = np.moveaxis((vertices - vertices.mean(0))[triangles], 1, 0)
     return triangles if np.sum(a * np.cross(b, c)) > 0 else triangles[:, ::-1]

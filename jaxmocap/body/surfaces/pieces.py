@@ -1,0 +1,114 @@
+"""The generic body cut into rigid pieces with round ends, one for each bone: for viewers.
+
+INPUTS: a Skeleton. OUTPUTS: a Solid in the frame of each bone that has flesh.
+
+A viewer moves each piece by its bone's transform alone, so that every mesh is sent once. Where two
+pieces meet, each ends in a round cap about their joint: a bent joint stays closed.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surfaces.loft import (
+    LoftedPart,
+    lofted_parts,
+    lofted_rings,
+    rest_joints,
+    ring_frames,
+    stature_of,
+)
+from jaxmocap.body.surfaces.mesh import facing_outwards, grid_triangles, normals_of
+from jaxmocap.geometry.solids import Solid, limb_solid
+
+# Nodes of a ring, and rings of a cap.
+AROUND, CAP_RINGS = 24, 6
+# Metres between rings.
+RING_M = 0.02
+
+
+class Stretch(NamedTuple):
+    """The part of a limb that one bone carries.
+
+    Attributes:
+        bone: name.
+        first: place of its first ring on the limb's bones laid end to end, as in the table.
+        last: place of its last ring.
+        near_cap: whether another bone's stretch ends at ``first``.
+        far_cap: whether another bone's stretch begins at ``last``.
+    """
+
+    bone: str
+    first: float
+    last: float
+    near_cap: bool
+    far_cap: bool
+
+
+def body_pieces(skeleton: Skeleton) -> dict[str, Solid]:
+    """Bone -> its piece, in the bone's frame; plain limbs for a body without the table's bones."""
+    limbs, tree = lofted_parts(), skeleton.tree
+    if not {bone for limb in limbs for bone in (*limb.bones, limb.above) if bone} <= {*tree.bones}:
+        return _plain_limbs(skeleton)
+    joints = rest_joints(skeleton)
+    pieces: dict[str, list[Solid]] = {}
+    for limb in limbs:
+        for stretch in stretches(limb):
+            vertices, triangles = _mesh(skeleton, limb, stretch)
+            normals = normals_of(vertices, triangles)
+            own = Solid(vertices - joints[tree.bone(stretch.bone)], normals, triangles)
+            pieces.setdefault(stretch.bone, []).append(own)
+    return {bone: _joined(solids) for bone, solids in pieces.items()}
+
+
+def stretches(limb: LoftedPart) -> list[Stretch]:
+    """A limb's stretches from its near end, cut at its bones' joints."""
+    parts = [Stretch(limb.above, float(limb.at[0]), 0.0, False, True)] if limb.above else []
+    for k, bone in enumerate(limb.bones):
+        begins, ends = k == 0 and not limb.above, k == len(limb.bones) - 1
+        first, last = limb.at[0] if begins else k, limb.at[-1] if ends else k + 1
+        parts.append(Stretch(bone, float(first), float(last), not begins, not ends))
+    return parts
+
+
+def _mesh(skeleton: Skeleton, limb: LoftedPart, stretch: Stretch) -> tuple[np.ndarray, np.ndarray]:
+    """A stretch's vertices (V, 3) with all angles 0, from the pelvis, and triangles (F, 3)."""
+    outer = np.array([stretch.first, stretch.last])
+    ends, _, _ = ring_frames(skeleton, limb, outer, stature_of(skeleton))
+    axis = ends[1] - ends[0]
+    count = max(int(np.ceil(np.linalg.norm(axis) / RING_M)), 3)
+    places = np.concatenate([outer[:1], np.linspace(*outer, count), outer[1:]])
+    grid = lofted_rings(skeleton, limb, places, AROUND)
+    near = _cap(grid[1], -axis)[::-1] if stretch.near_cap else grid[:1]
+    far = _cap(grid[-2], axis) if stretch.far_cap else grid[-1:]
+    grid = np.concatenate([near, grid[1:-1], far])
+    vertices = np.concatenate([grid, grid[:, :1]], 1).reshape(-1, 3)
+    return vertices, facing_outwards(vertices, grid_triangles(len(grid), AROUND))
+
+
+def _cap(ring: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """(CAP_RINGS, U, 3) from a ring (U, 3) to a point along an axis (3,): half an ellipsoid."""
+    centre = ring.mean(0)
+    spokes = ring - centre
+    height = np.linalg.norm(spokes, axis=-1).mean() * axis / np.linalg.norm(axis)
+    lift = np.linspace(0, np.pi / 2, CAP_RINGS + 1)[1:, None, None]
+    return centre + np.cos(lift) * spokes + np.sin(lift) * height
+
+
+def _joined(solids: list[Solid]) -> Solid:
+    """Several solids as one."""
+    starts = np.cumsum([0, *(len(solid.vertices) for solid in solids[:-1])])
+    triangles = [start + solid.triangles for start, solid in zip(starts, solids, strict=True)]
+    return Solid(
+        np.concatenate([solid.vertices for solid in solids]),
+        np.concatenate([solid.normals for solid in solids]),
+        np.concatenate(triangles),
+    )
+
+
+def _plain_limbs(skeleton: Skeleton) -> dict[str, Solid]:
+    """The hull of two spheres about each bone."""
+    reach = np.asarray(skeleton.lengths[:, None] * skeleton.directions)
+    radii = np.asarray(skeleton.diameters) / 2
+    return {bone: limb_solid(reach[i], radii[i]) for i, bone in enumerate(skeleton.tree.bones)}

@@ -1,0 +1,109 @@
+"""Ellipses of uncertainty in an image: where the body's landmarks may lie.
+
+INPUTS: a Motion with its report, a camera. OUTPUTS: closed lines, pixels.
+
+A landmark's covariance is projected by the derivative of its pixel (first order).
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.body.motion import Motion, landmarks_over_time
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, on_host, projection_jacobian
+from jaxmocap.outputs.scene import neighbours, pixels
+
+# Half axes, standard deviations: 86 of 100 points of a plane's normal distribution lie within.
+SIGMAS = 2.0
+# Points of a line.
+POINTS = 33
+# Besides the elbows' those whose longer half axis exceeds this share of the image's smaller side.
+SMALLEST_SHARE = 0.03
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """The L landmarks over T samples.
+
+    Attributes:
+        times: (T,) seconds.
+        centres: (T, L, 3) world, metres.
+        deviations: (T, L, 3) standard deviations along the world's axes, metres; NaN unknown.
+    """
+
+    times: np.ndarray
+    centres: np.ndarray
+    deviations: np.ndarray
+
+    def at(self, time: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """Centres and deviations (L, 3) at a time, as ``BodyScene.at`` has them."""
+        if (between := neighbours(self.times, time)) is None:
+            return None
+        before, after, part = between
+        return tuple(
+            (1 - part) * values[before] + part * values[after]
+            for values in (self.centres, self.deviations)
+        )  # type: ignore[return-value]
+
+
+class Ellipse(NamedTuple):
+    """One landmark's.
+
+    Attributes:
+        landmark: its name.
+        points: (POINTS, 2) of a closed line, pixels.
+    """
+
+    landmark: str
+    points: np.ndarray
+
+
+def uncertainty_of(motion: Motion) -> Uncertainty | None:
+    """The landmarks of a motion; None where it has no report."""
+    if motion.report is None:
+        return None
+    centres = landmarks_over_time(motion.skeleton, motion.poses)
+    return Uncertainty(
+        np.asarray(motion.times, float), centres, np.asarray(motion.report.landmarks_std, float)
+    )
+
+
+def ellipses_in(camera: Camera, uncertainty: Uncertainty, time: float) -> list[Ellipse]:
+    """The elbows' ellipses, and the large ones of other landmarks; none where nothing is known."""
+    if (values := uncertainty.at(time)) is None:
+        return []
+    loops, half_axes = landmark_ellipses(camera, *values)
+    smallest = SMALLEST_SHARE * float(np.min(np.asarray(camera.size)))
+    is_shown = np.isfinite(half_axes) & (half_axes > smallest)
+    is_shown[list(ELBOWS)] = np.isfinite(half_axes[list(ELBOWS)])
+    return [Ellipse(LANDMARKS[i], loops[i]) for i in np.flatnonzero(is_shown)]
+
+
+def landmark_ellipses(
+    camera: Camera, centres: np.ndarray, deviations: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Closed lines (N, POINTS, 2) and their longer half axes (N,), pixels; NaN where unknown.
+
+    Args:
+        camera: that takes the image.
+        centres: (N, 3) world, metres.
+        deviations: (N, 3) standard deviations along the world's axes, metres.
+    """
+    host = on_host(camera)
+    is_known = np.isfinite(centres).all(-1) & np.isfinite(deviations).all(-1)
+    is_known &= np.asarray(depth(host, centres)) > NEAREST_M  # type: ignore[arg-type]
+    loops, half_axes = np.full((len(centres), POINTS, 2), np.nan), np.full(len(centres), np.nan)
+    if not is_known.any():
+        return loops, half_axes
+    J = np.asarray(projection_jacobian(host, centres[is_known]), float)  # type: ignore[arg-type]
+    spread = J * deviations[is_known, None, :]
+    variances, axes = np.linalg.eigh(spread @ np.swapaxes(spread, -1, -2))
+    lengths = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
+    turn = np.linspace(0, 2 * np.pi, POINTS)
+    circle = np.stack([np.cos(turn), np.sin(turn)], -1)
+    around = np.einsum("nij,nj,pj->npi", axes, lengths, circle)
+    loops[is_known] = pixels(camera, centres[is_known])[:, None] + around
+    half_axes[is_known] = lengths[:, -1]
+    return loops, half_axes
