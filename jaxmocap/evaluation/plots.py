@@ -18,9 +18,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from jaxmocap.evaluation.errors import Errors
+
 # Styles of the lines.
 MARKERS_ONLY = {"color": "#c62828", "linestyle": "-", "linewidth": 1.4}
 WITH_VIDEO = {"color": "#1557b0", "linestyle": "--", "linewidth": 1.4}
+# Of joints' sides, and of the first run and the second.
+SIDE_COLOURS = {"_l": "#1f77d0", "_r": "#e07b12"}
+RUN_STYLES = ({"linestyle": "-", "linewidth": 1.4}, {"linestyle": ":", "linewidth": 1.4})
 
 
 def plot_elbow_errors(
@@ -54,6 +59,41 @@ def plot_elbow_errors(
         row.set_ylabel(label)
     # Once all is drawn: fixing one end of the shared axis stops it from following the curves.
     axes[0, 0].set_ylim(bottom=0)
+    save_figure(figure, path, title)
+
+
+def plot_joint_errors(path: str | Path, runs: Mapping[str, Errors], title: str = "") -> None:
+    """Draw how far joints are from the reference over time, a panel for each pair of joints.
+
+    Args:
+        path: of the picture (.png, .svg, .pdf).
+        runs: name -> errors of the same joints, ``NAME_l`` and ``NAME_r``; one run or two.
+        title: above the panels.
+    """
+    first = next(iter(runs.values()))
+    places = list(
+        dict.fromkeys(joint.removesuffix("_l").removesuffix("_r") for joint in first.joints)
+    )
+    figure, axes = new_panels(-(-len(places) // 3), 3, (4.2, 2.2), sharey=True)
+    for panel, place in zip(axes.flat, places, strict=False):
+        for (name, errors), style in zip(runs.items(), RUN_STYLES, strict=False):
+            for end, colour in SIDE_COLOURS.items():
+                if place + end not in errors.joints:
+                    continue
+                values = 100 * errors.distances[:, errors.joints.index(place + end)]
+                side = "left" if end == "_l" else "right"
+                label = f"{side}: mean {_mean(values):.1f} cm"
+                label = label if len(runs) == 1 else f"{name}, {label}"
+                panel.plot(errors.times, values, color=colour, label=label, **style)
+        panel.set_title(place)
+        panel.legend(frameon=False, fontsize="x-small", loc="upper right")
+    for panel in axes[-1]:
+        panel.set_xlabel("time [s]")
+    for panel in axes[:, 0]:
+        panel.set_ylabel("position error [cm]")
+    low, high = axes[0, 0].get_ylim()
+    # Room for the legends above the curves.
+    axes[0, 0].set_ylim(0, high + 0.35 * (high - low))
     save_figure(figure, path, title)
 
 

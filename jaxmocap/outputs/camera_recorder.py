@@ -20,6 +20,8 @@ from jaxmocap.outputs.scene import BodyScene, limb_outlines, pixels
 
 # Of the images' plane from the camera, metres: a frustum is then smaller than a head or two.
 FRUSTUM_M = 0.2
+# RGB of ellipses of other landmarks than elbows.
+ELLIPSE_COLOUR = (150, 150, 165)
 # Widths of lines, points of the screen.
 OUTLINE_WIDTH, BONE_WIDTH, ELLIPSE_WIDTH = 1.0, 1.2, 1.2
 
@@ -96,10 +98,12 @@ def log_ellipses(
     if not any(map(len, loops)):
         return
     width = rr.Radius.ui_points(ELLIPSE_WIDTH)
-    style = rr.LineStrips2D.from_fields(colors=COLOURS[""], radii=width)
-    stream.log(entity, style, static=True)
-    strips = [loop.points.astype(np.float32) for each in loops for loop in each]
-    columns = rr.LineStrips2D.columns(strips=strips).partition([len(each) for each in loops])
+    stream.log(entity, rr.LineStrips2D.from_fields(radii=width), static=True)
+    shown = [ellipse for each in loops for ellipse in each]
+    columns = rr.LineStrips2D.columns(
+        strips=[ellipse.points.astype(np.float32) for ellipse in shown],
+        colors=[COLOURS[ellipse.elbow] if ellipse.elbow else ELLIPSE_COLOUR for ellipse in shown],
+    ).partition([len(each) for each in loops])
     stream.send_columns(entity, [at_times(times)], columns)
 
 

@@ -8,19 +8,22 @@ A landmark's covariance is projected by the derivative of its pixel (first order
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from jaxmocap.body.motion import Motion, landmarks_over_time
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, on_host, projection_jacobian
-from jaxmocap.outputs.scene import neighbours, pixels
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, project, projection_jacobian
+from jaxmocap.outputs.scene import neighbours
 
 # Half axes, standard deviations: 86 of 100 points of a plane's normal distribution lie within.
 SIGMAS = 2.0
 # Points of a line.
 POINTS = 33
 # Besides the elbows' those whose longer half axis exceeds this share of the image's smaller side.
-SMALLEST_SHARE = 0.03
+SMALLEST_SHARE = 0.06
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,12 @@ class Ellipse(NamedTuple):
     landmark: str
     points: np.ndarray
 
+    @property
+    def elbow(self) -> str:
+        """``l`` or ``r`` of an elbow's; "" of another landmark's."""
+        name, _, side = self.landmark.partition("_")
+        return side if name == "elbow" else ""
+
 
 def uncertainty_of(motion: Motion) -> Uncertainty | None:
     """The landmarks of a motion; None where it has no report."""
@@ -91,19 +100,20 @@ def landmark_ellipses(
         centres: (N, 3) world, metres.
         deviations: (N, 3) standard deviations along the world's axes, metres.
     """
-    host = on_host(camera)
+    dtype = camera.T_cam_world.dtype
+    at, J, depths = map(np.asarray, _projected(camera, jnp.asarray(centres, dtype)))
     is_known = np.isfinite(centres).all(-1) & np.isfinite(deviations).all(-1)
-    is_known &= np.asarray(depth(host, centres)) > NEAREST_M  # type: ignore[arg-type]
-    loops, half_axes = np.full((len(centres), POINTS, 2), np.nan), np.full(len(centres), np.nan)
-    if not is_known.any():
-        return loops, half_axes
-    J = np.asarray(projection_jacobian(host, centres[is_known]), float)  # type: ignore[arg-type]
-    spread = J * deviations[is_known, None, :]
+    is_known &= depths > NEAREST_M
+    spread = np.where(is_known[:, None, None], J * deviations[:, None, :], 0.0)
     variances, axes = np.linalg.eigh(spread @ np.swapaxes(spread, -1, -2))
-    lengths = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
+    lengths = np.where(is_known[:, None], SIGMAS * np.sqrt(np.maximum(variances, 0.0)), np.nan)
     turn = np.linspace(0, 2 * np.pi, POINTS)
-    circle = np.stack([np.cos(turn), np.sin(turn)], -1)
-    around = np.einsum("nij,nj,pj->npi", axes, lengths, circle)
-    loops[is_known] = pixels(camera, centres[is_known])[:, None] + around
-    half_axes[is_known] = lengths[:, -1]
-    return loops, half_axes
+    around = (axes * lengths[:, None, :]) @ np.stack([np.cos(turn), np.sin(turn)])
+    return at[:, None] + np.swapaxes(around, -1, -2), lengths[:, -1]
+
+
+@jax.jit
+def _projected(camera: Camera, points_world: Array) -> tuple[Array, Array, Array]:
+    """Pixels (N, 2), their derivatives (N, 2, 3) and depths (N,) of points (N, 3)."""
+    J = projection_jacobian(camera, points_world)
+    return project(camera, points_world), J, depth(camera, points_world)

@@ -56,6 +56,8 @@ def lay_out(
         eye_controls=_eye(scene),
         background=rrb.Background(color=BACKGROUND, kind=rrb.BackgroundKind.SolidColor),
         line_grid=_grid(floor),
+        # Within the body; who hides that by the viewer's list of entities may show it.
+        overrides={"world/skeleton": rrb.EntityBehavior(visible=False)},
     )
     top: list[rrb.View | rrb.Container] = [body]
     if cameras:

@@ -1,4 +1,4 @@
-"""The body drawn over its video: outlines, bones, joints and marker targets.
+"""The body drawn over its video: outlines, bones, joints, uncertainty and marker targets.
 
 INPUTS: frames of one camera (seconds of marker time, BGR), the camera, a Motion.
 OUTPUTS: an H.264 video in an MP4 file that browsers play, each frame at its own time.
@@ -18,18 +18,20 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.formats.cameras.video_out import replacing_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.outputs.ellipses import SIGMAS, ellipses_in, uncertainty_of
 from jaxmocap.outputs.scene import BodyScene, limb_outlines, make_scene, pixels
 
-# Colours are BGR.
+# BGR.
+Colour = tuple[int, int, int]
 BONE_COLOUR = (230, 230, 230)
 JOINT_COLOUR = (255, 255, 255)
 # Of the left and the right arm.
 OUTLINE_COLOURS = {"l": (255, 200, 60), "r": (60, 160, 255)}
 TARGET_COLOUR = (255, 60, 255)
-# An elbow of this deviation is red, metres: little more than the markers' guess.
-UNSURE_M = 0.1
-# Of an unknown deviation.
-UNKNOWN_COLOUR = (170, 170, 170)
+# Of the ellipses of other landmarks than elbows, and their opacity within.
+ELLIPSE_COLOUR, ELLIPSE_OPACITY = (200, 190, 190), 0.18
+# Brightness that the image keeps behind the legend.
+LEGEND_BACKGROUND = 0.45
 # Ticks per second of the file's clock.
 CLOCK_HZ = 90_000
 # Fractional bits of OpenCV's drawing.
@@ -107,6 +109,7 @@ class OverlayArtist:
         self.camera, self.motion = camera, motion
         self.targets = dict(targets or {})
         self.scene: BodyScene = make_scene(motion)
+        self.uncertainty = uncertainty_of(motion)
         self._shape: tuple[int, int] | None = None
 
     def canvas(self, image: np.ndarray | None) -> np.ndarray:
@@ -134,16 +137,33 @@ class OverlayArtist:
         """Draw the body at that time, in place; beyond the motion only the legend."""
         size = max(1, round(min(canvas.shape[:2]) / 480))
         sample = int(np.argmin(np.abs(self.scene.times - time)))
-        ends, deviations = self.scene.at(time), self._deviations(sample)
+        ends = self.scene.at(time)
         if ends is not None:
+            self._draw_ellipses(canvas, time, size)
             self._draw_outlines(canvas, *ends, size)
             self._draw_points(canvas, *ends, sample, size)
-        _draw_legend(canvas, time, deviations, ends is not None, bool(self.targets))
+        title = f"{time:.2f} s" + ("" if ends is not None else ", no pose")
+        draw_legend(canvas, [(title, JOINT_COLOUR), *self._legend(sample)])
 
-    def _deviations(self, sample: int) -> dict[str, float]:
+    def _legend(self, sample: int) -> list[tuple[str, Colour]]:
+        """What the colours, the ellipses and the crosses are."""
         report = self.motion.report
-        left, right = (np.nan, np.nan) if report is None else report.elbow_deviations[sample]
-        return {"l": float(left), "r": float(right)}
+        deviations = (np.nan, np.nan) if report is None else report.elbow_deviations[sample]
+        lines = []
+        for side, name, value in zip("lr", ("left", "right"), deviations, strict=True):
+            known = f" +/- {100 * value:.0f} cm" if np.isfinite(value) else ""
+            lines.append((f"{name} elbow{known}", OUTLINE_COLOURS[side]))
+        if np.isfinite(deviations).any():
+            lines.append((f"ellipses: {SIGMAS:.0f} std. dev.", ELLIPSE_COLOUR))
+        return [*lines, *([("+ marker", TARGET_COLOUR)] if self.targets else [])]
+
+    def _draw_ellipses(self, canvas: np.ndarray, time: float, size: int) -> None:
+        if self.uncertainty is None:
+            return
+        for ellipse in ellipses_in(self.camera, self.uncertainty, time):
+            colour = OUTLINE_COLOURS.get(ellipse.elbow, ELLIPSE_COLOUR)
+            _tint(canvas, ellipse.points, colour)
+            _draw_line(canvas, ellipse.points, colour, size)
 
     def _draw_outlines(
         self, canvas: np.ndarray, near: np.ndarray, far: np.ndarray, size: int
@@ -165,12 +185,8 @@ class OverlayArtist:
         )
         for line in np.stack([near_xy, far_xy], 1):
             _draw_line(canvas, line, BONE_COLOUR, size)
-        deviations = self._deviations(sample)
-        for segment, pixel in zip(self.scene.tree.segments, near_xy, strict=True):
-            if segment.part == "forearm":
-                _draw_dot(canvas, pixel, deviation_colour(deviations[segment.side]), 5 * size)
-            else:
-                _draw_dot(canvas, pixel, JOINT_COLOUR, 2 * size)
+        for pixel in near_xy:
+            _draw_dot(canvas, pixel, JOINT_COLOUR, 2 * size)
         for pixel in targets_xy:
             _draw_cross(canvas, pixel, TARGET_COLOUR, size)
 
@@ -180,15 +196,21 @@ def encode_jpeg(image: np.ndarray, quality: int) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
-def deviation_colour(deviation: float) -> tuple[int, int, int]:
-    """BGR: from green at 0 over yellow to red at ``UNSURE_M`` and beyond; grey where unknown."""
-    if not np.isfinite(deviation):
-        return UNKNOWN_COLOUR
-    part = 1 - float(np.clip(deviation / UNSURE_M, 0.0, 1.0))
-    return 0, round(255 * min(1.0, 2 * part)), round(255 * min(1.0, 2 - 2 * part))
+def _tint(canvas: np.ndarray, points: np.ndarray, colour: Colour) -> None:
+    """Lay a colour thinly over what a closed line (P, 2) holds."""
+    height, width = canvas.shape[:2]
+    left, top = np.maximum(np.floor(points.min(0)), 0).astype(int)
+    right, bottom = np.minimum(np.ceil(points.max(0)) + 1, [width, height]).astype(int)
+    if left >= right or top >= bottom:
+        return
+    part = canvas[top:bottom, left:right]
+    tinted = part.copy()
+    inside = np.clip(points - [left, top], -1e4, 1e4) * 2**SHIFT
+    cv2.fillPoly(tinted, [inside.round().astype(np.int32)], colour, cv2.LINE_AA, SHIFT)
+    cv2.addWeighted(tinted, ELLIPSE_OPACITY, part, 1 - ELLIPSE_OPACITY, 0, part)
 
 
-def _draw_line(canvas: np.ndarray, points: np.ndarray, colour: tuple, width: int) -> None:
+def _draw_line(canvas: np.ndarray, points: np.ndarray, colour: Colour, width: int) -> None:
     if np.isfinite(points).all():
         # OpenCV's fixed point overflows far outside the image.
         fixed = np.clip(points, -1e4, 1e4) * 2**SHIFT
@@ -197,47 +219,27 @@ def _draw_line(canvas: np.ndarray, points: np.ndarray, colour: tuple, width: int
         )
 
 
-def _draw_dot(canvas: np.ndarray, pixel: np.ndarray, colour: tuple, radius: int) -> None:
+def _draw_dot(canvas: np.ndarray, pixel: np.ndarray, colour: Colour, radius: int) -> None:
     if np.isfinite(pixel).all():
         fixed = (np.clip(pixel, -1e4, 1e4) * 2**SHIFT).round().astype(int).tolist()
         cv2.circle(canvas, fixed, radius << SHIFT, colour, -1, cv2.LINE_AA, SHIFT)
 
 
-def _draw_cross(canvas: np.ndarray, pixel: np.ndarray, colour: tuple, size: int) -> None:
+def _draw_cross(canvas: np.ndarray, pixel: np.ndarray, colour: Colour, size: int) -> None:
     if np.isfinite(pixel).all():
         at = np.clip(pixel, -1e4, 1e4).round().astype(int).tolist()
         cv2.drawMarker(canvas, at, colour, cv2.MARKER_CROSS, 12 * size, size + 1, cv2.LINE_AA)
 
 
-def _draw_legend(
-    canvas: np.ndarray, time: float, deviations: dict[str, float], tracked: bool, marked: bool
-) -> None:
-    """Time, both elbows' deviations in their colours, and what the colours and crosses mean."""
-    scale = max(0.4, min(canvas.shape[:2]) / 1000)
-    line, left = round(34 * scale), round(12 * scale)
-    title = f"t = {time:.3f} s" + ("" if tracked else ", no pose")
-    lines: list[tuple[str, tuple[int, int, int]]] = [(title, JOINT_COLOUR)]
-    for side, name in (("l", "left"), ("r", "right")):
-        value = deviations[side]
-        sure = f"+/- {100 * value:.0f} cm" if np.isfinite(value) else "not estimated"
-        lines.append((f"{name} elbow {sure}", deviation_colour(value)))
-    for row, (text, colour) in enumerate(lines, 1):
-        _write(canvas, text, (left, row * line), colour, scale)
-    bottom = canvas.shape[0] - round(12 * scale)
-    arms = [("left arm", OUTLINE_COLOURS["l"]), ("right arm", OUTLINE_COLOURS["r"])]
-    for text, colour in [*arms, *([("+ marker", TARGET_COLOUR)] if marked else [])]:
-        left += _write(canvas, text, (left, bottom), colour, scale) + line
-
-
-def _write(
-    canvas: np.ndarray, text: str, place: tuple[int, int], colour: tuple, scale: float
-) -> int:
-    """Write text with a dark rim, readable on any background; its width in pixels."""
-    font, thick = cv2.FONT_HERSHEY_SIMPLEX, max(1, round(1.6 * scale))
-    x, y = place
-    # Shifted copies: a thicker stroke would be a wider text in OpenCV 5.
-    for dx, dy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-        rim = (x + dx * thick, y + dy * thick)
-        cv2.putText(canvas, text, rim, font, scale, (0, 0, 0), thick, cv2.LINE_AA)
-    cv2.putText(canvas, text, place, font, scale, colour, thick, cv2.LINE_AA)
-    return cv2.getTextSize(text, font, scale, thick)[0][0]
+def draw_legend(canvas: np.ndarray, lines: list[tuple[str, Colour]]) -> None:
+    """Lines of text in their colours, small and on a darkened part of the image's corner."""
+    scale = max(0.33, min(canvas.shape[:2]) / 1400)
+    font, thick = cv2.FONT_HERSHEY_SIMPLEX, max(1, round(1.5 * scale))
+    sizes = [cv2.getTextSize(text, font, scale, thick)[0] for text, _ in lines]
+    row, margin = round(1.7 * max(height for _, height in sizes)), round(18 * scale)
+    width = max(width for width, _ in sizes) + 2 * margin
+    part = canvas[: row * len(lines) + 2 * margin, :width]
+    part[:] = LEGEND_BACKGROUND * part
+    for number, (text, colour) in enumerate(lines, 1):
+        place = (margin, margin + number * row - (row - sizes[0][1]) // 2)
+        cv2.putText(canvas, text, place, font, scale, colour, thick, cv2.LINE_AA)

@@ -39,7 +39,7 @@ HEIGHT_M = 1.75
 # Of the player's mesh and clothes, which people look at.
 DETAIL = 2
 PLOT_FILE = "elbow_errors.png"
-FILES = (*MOTION_FILES, "report.json", "recording.rrd", "overlay.mp4", PLOT_FILE)
+FILES = (*MOTION_FILES, "report.json", "recording.rrd", f"overlay_{CAMERA}.mp4", PLOT_FILE)
 RECORDING_FILES = (
     *("recording.toml", "markers.trc", "static.trc", "truth.trc"),
     *("video.mp4", "calibration.toml"),

@@ -2,7 +2,7 @@
 
 INPUTS: a Motion, its Recording, a folder.
 OUTPUTS: joints.trc, angles.mot, angles_isb.mot, motion.npz, motion.bvh, motion.glb, report.json,
-recording.rrd, overlay.mp4 where there is video, angles_opensim.mot where it is asked for.
+recording.rrd, overlay_NAME.mp4 of each camera, angles_opensim.mot where it is asked for.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -229,11 +229,8 @@ def with_refined_cameras(recording: Recording, motion: Motion) -> Recording:
 
 
 def overlay_names(recording: Recording, kind: str = "overlay") -> list[str]:
-    """overlay.mp4 of the first camera, overlay_NAME.mp4 of the others."""
-    return [
-        f"{kind}_{source.camera_name}.mp4" if i else f"{kind}.mp4"
-        for i, source in enumerate(recording.videos)
-    ]
+    """overlay_NAME.mp4 of each camera."""
+    return [f"{kind}_{source.camera_name}.mp4" for source in recording.videos]
 
 
 def write_overlays(

@@ -4,8 +4,8 @@ Who has a mesh of their own is photographed first, and tracked without and with 
 photographs give.
 
 INPUTS: a folder, a duration, a seed; somebody's rigged mesh where there is one.
-OUTPUTS: in that folder the recording and everything that ``silhouette track`` writes; of a mesh
-photographs and model as well.
+OUTPUTS: in that folder the recording, everything that ``silhouette track`` writes, and errors.png;
+of a mesh photographs and model as well.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import LANDMARKS, with_joints
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.plots import plot_joint_errors
 from jaxmocap.evaluation.tables import format_table
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.recordings.recording import Recording
@@ -46,11 +47,13 @@ RECORDING_FILES = (
     *("recording.toml", "calibration.toml", "truth.trc", "truth_angles.npz", "truth_masks.npz"),
     *(f"{camera}.mp4" for camera in CAMERAS),
 )
+PLOT_FILE = "errors.png"
 FILES = (
-    *(*MOTION_FILES, "report.json", "recording.rrd"),
-    *(f"{kind}.mp4" for kind in VIDEO_KINDS),
-    *(f"{kind}_{camera}.mp4" for kind in VIDEO_KINDS for camera in CAMERAS[1:]),
+    *(*MOTION_FILES, "report.json", "recording.rrd", PLOT_FILE),
+    *(f"{kind}_{camera}.mp4" for kind in VIDEO_KINDS for camera in CAMERAS),
 )
+# Lines of the plot where the person has a model: tracked without it, and with it.
+MODEL_RUNS = ("generic body", "own model")
 JOINTS = {
     f"{joint}_{side}": f"{joint}_{side}"
     for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -139,9 +142,17 @@ def demonstrate_silhouettes(
         files += photograph_and_model(folder, person, seed)
         recording, own = with_model(recording, folder / "model")
     result = tracked_from_truth(recording, truth, progress, own)
-    files += outputs.write(lambda stage: write_into(result, recording, stage, progress, own))
     errors = evaluate(result.motion, truth, JOINTS)
     off = bend_errors_deg(result.motion, truth)
+
+    def write(stage: Path) -> list[Path]:
+        written = write_into(result, recording, stage, progress, own)
+        runs = [errors] if before is None else [before[0], errors]
+        named = dict(zip(MODEL_RUNS, runs, strict=False))
+        plot_joint_errors(stage / PLOT_FILE, named, "Position errors")
+        return [*written, stage / PLOT_FILE]
+
+    files += outputs.write(write)
     return SilhouetteDemo(result.motion, errors, off, before, files)
 
 

@@ -1,8 +1,8 @@
 """Everything that ``silhouette track`` writes: what ``track`` does, and what was segmented.
 
 INPUTS: a SilhouetteResult, the Recording, a folder.
-OUTPUTS: joints.trc, angles.mot and the motion's other files, report.json, recording.rrd, overlay
-videos; and segmentation.mp4, segmentation_NAME.mp4 of the other cameras.
+OUTPUTS: joints.trc, angles.mot and the motion's other files, report.json, recording.rrd, and
+overlay_NAME.mp4 and segmentation_NAME.mp4 of each camera.
 """
 
 from collections.abc import Iterable, Iterator
