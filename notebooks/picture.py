@@ -17,6 +17,7 @@ from jaxmocap.capture.video import Video
 from jaxmocap.evaluation.plots import MARKERS_ONLY, WITH_VIDEO
 from jaxmocap.pipelines.demo import Demonstration, demonstrate
 from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.synthetic.recording import CAMERA
 
 PICTURE = Path(__file__).parent / "images" / "demo.gif"
 RIGHT = 1
@@ -54,7 +55,7 @@ def curves(shown: Demonstration) -> np.ndarray:
 def frames(shown: Demonstration, folder: Path) -> Iterator[np.ndarray]:
     """Overlay and curves, side by side, (h, w, 3) RGB."""
     picture, (left, right, top, bottom) = curves(shown)
-    for number, (time, image) in enumerate(Video(folder / "overlay.mp4").frames()):
+    for number, (time, image) in enumerate(Video(folder / f"overlay_{CAMERA}.mp4").frames()):
         if number % EVERY or image is None:
             continue
         if time > SECONDS:

@@ -44,14 +44,13 @@ def raised_on_sigterm() -> Iterator[None]:
 
 @contextmanager
 def signals_deferred() -> Iterator[None]:
-    """Within it Ctrl-C and SIGTERM are deferred until its end."""
+    """Within it Ctrl-C, SIGTERM and a closed terminal are deferred until its end."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     received: list[int] = []
-    deferred = [
-        each for each in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(each))
-    ]
+    ending = {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}
+    deferred = [each for each in ending if callable(signal.getsignal(each))]
     before = {
         each: signal.signal(each, lambda number, frame: received.append(number))
         for each in deferred

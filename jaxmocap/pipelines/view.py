@@ -13,8 +13,9 @@ import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
+from time import monotonic, sleep
 from typing import NamedTuple
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines.signals import signals_deferred
@@ -22,6 +23,8 @@ from jaxmocap.pipelines.signals import signals_deferred
 LOOPBACK = "127.0.0.1"
 # A viewer that does not stop within so many seconds is killed.
 VIEWER_STOP_TIMEOUT_S = 5.0
+# One that does not answer within so many seconds is not waited for.
+VIEWER_START_TIMEOUT_S = 30.0
 
 
 class Viewer(NamedTuple):
@@ -94,15 +97,51 @@ def serve_page(path: Path, port: int) -> Viewer:
         port: of the page.
 
     Raises:
-        InputError: the port is taken.
+        InputError: the port is taken, or the viewer cannot be opened.
     """
+    if not _is_free(port):
+        problem = f"is taken, perhaps by another viewer; another one by --port {free_port()}"
+        raise InputError(f"port {port}", problem)
+    viewer = start_viewer([str(path)], web=True, web_port=port, stay=False)
+    try:
+        _wait_until_open(viewer, port)
+    except BaseException:
+        viewer.end()
+        raise
+    return viewer
+
+
+def _is_free(port: int) -> bool:
+    """Whether this machine's address can be had at a port."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((LOOPBACK, port))
-        except OSError as error:
-            raise InputError(f"port {port}", f"cannot be had ({error.strerror})") from None
-    return start_viewer([str(path)], web=True, web_port=port, stay=False)
+        except OSError:
+            return False
+    return True
+
+
+def _wait_until_open(viewer: Viewer, port: int) -> None:
+    """Wait until the page and its data are served; InputError where the viewer ends instead."""
+    data_port = urlsplit(viewer.url.partition("+")[2]).port or 0
+    end = monotonic() + VIEWER_START_TIMEOUT_S
+    for each in (port, data_port):
+        while not _answers(each):
+            if not viewer.is_open or monotonic() > end:
+                problem = (
+                    f"the viewer could not be opened there; another one by --port {free_port()}"
+                )
+                raise InputError(f"port {port}", problem)
+            sleep(0.05)
+
+
+def _answers(port: int) -> bool:
+    try:
+        socket.create_connection((LOOPBACK, port), 1.0).close()
+    except OSError:
+        return False
+    return True
 
 
 def start_viewer(

@@ -22,6 +22,7 @@ from jaxmocap.body.skeleton import (
     with_joints,
     with_wrists,
 )
+from jaxmocap.body.surfaces.pieces import body_pieces
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.posture import NearPose
 from jaxmocap.formats.motion_npz import load_motion, save_motion
@@ -155,3 +156,8 @@ def test_the_gradients_priors_know_joints_of_any_name(name):
     body = load_skeleton(name)
     deviations = NearPose().deviations(body)
     assert deviations.shape == (ROOT_DOF + len(body.tree.joints),) and (deviations > 0).all()
+
+
+def test_every_bone_of_another_body_has_a_mesh_for_viewers():
+    body = load_skeleton(TAILED)
+    assert set(body_pieces(body)) == set(body.tree.bones)

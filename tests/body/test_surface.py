@@ -11,6 +11,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.loft import generic_surface, lofted_parts, rest_joints, stature_of
+from jaxmocap.body.surfaces.pieces import body_pieces
 from jaxmocap.body.surfaces.surface import (
     Surface,
     low_pass,
@@ -253,3 +254,24 @@ def _below_chest(nodes, faces, across) -> np.ndarray:
     for face in faces[inside[faces].all(1)]:
         cv2.fillConvexPoly(mask, np.round(pixels[face] * 16).astype(np.int32), 1, shift=4)
     return mask.astype(bool)
+
+
+def test_the_pieces_of_a_body_are_closed_and_meet_in_a_ball_about_each_joint():
+    """Together they are the surface; what a bent joint shows is the round end of either."""
+    pieces = body_pieces(TALL)
+    joints, tree = rest_joints(TALL), TALL.tree
+    assert set(pieces) == set(tree.bones)
+    volume = 0.0
+    for solid in pieces.values():
+        corners = solid.vertices[solid.triangles]
+        volume += np.linalg.det(corners).sum() / 6
+        outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        shading = solid.normals[solid.triangles].mean(1)
+        assert np.mean(np.sum(outward * shading, 1) >= -1e-12) > 0.99
+    # Cubic metres; caps lie within the next piece.
+    assert 0.07 < volume < 0.15
+    for near, far in (("humerus_l", "radius_l"), ("femur_r", "tibia_r")):
+        for bone in (near, far):
+            joint = joints[tree.bone(far)] - joints[tree.bone(bone)]
+            apart = np.linalg.norm(pieces[bone].vertices - joint, axis=1).min()
+            assert 0.02 < apart < 0.09

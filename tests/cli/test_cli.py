@@ -20,7 +20,7 @@ from jaxmocap.pipelines.kept_programs import cache_folder
 from jaxmocap.pipelines.signals import Terminated
 
 OUTPUTS = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
-OUTPUTS |= {"angles_isb.mot", "report.json", "overlay.mp4", "recording.rrd", "outputs.json"}
+OUTPUTS |= {"angles_isb.mot", "report.json", "overlay_cam.mp4", "recording.rrd", "outputs.json"}
 
 
 @pytest.fixture

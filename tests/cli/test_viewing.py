@@ -1,10 +1,13 @@
 """The viewer: what it shows without a click, and the page that it serves."""
 
 import os
+import re
+import signal
 import socket
 import subprocess
 import sys
 import time
+import urllib.parse
 import urllib.request
 
 import numpy as np
@@ -20,6 +23,7 @@ from jaxmocap.outputs import live_view
 from jaxmocap.outputs.layout import SERIES, lay_out
 from jaxmocap.outputs.live_view import LiveSnapshot, LiveView
 from jaxmocap.outputs.scene import BodyScene
+from jaxmocap.pipelines import view
 from jaxmocap.pipelines.live.session import relaxed_pose_on_floor
 from jaxmocap.pipelines.view import LOOPBACK, free_port, serve_page
 from jaxmocap.synthetic.drawing_camera import look_at
@@ -91,31 +95,78 @@ def test_the_page_is_served_to_this_machine_and_its_data_beside_it(folder):
         urllib.request.urlopen(page, timeout=5)
 
 
-@pytest.mark.skipif(os.name != "posix", reason="SIGTERM is sent as on POSIX")
-def test_sigterm_ends_the_command_and_its_server(folder):
-    port = free_port()
-    line = [sys.executable, "-m", "jaxmocap.cli", "view", folder, "--web", "--port", str(port)]
-    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+# Makes standard input the terminal of a session, then becomes the program that is named.
+IN_TERMINAL = """
+import fcntl, os, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
+
+
+def opened_page(folder, wrapper: str = "", **options) -> tuple[subprocess.Popen, list[int]]:
+    """``view --web`` in a process of its own; it and the ports of its page and its data."""
+    line = [sys.executable, "-c", wrapper] if wrapper else []
+    line += [sys.executable, "-m", "jaxmocap.cli", "view", folder, "--web"]
+    line += ["--port", str(free_port())]
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True} | options
+    process = subprocess.Popen(line, **options)
     assert process.stdout is not None
-    for printed in process.stdout:
-        if "until Ctrl-C" in printed:
-            break
-    process.terminate()
+    page = next(text.split()[1] for text in process.stdout if text.startswith("at "))
+    ports = [int(number) for number in re.findall(r":(\d+)/", urllib.parse.unquote(page))]
+    assert len(ports) == 2 and all(map(answers, ports))
+    return process, ports
+
+
+def answers(port: int) -> bool:
+    try:
+        socket.create_connection((LOOPBACK, port), 5.0).close()
+    except ConnectionRefusedError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+@pytest.mark.parametrize(
+    ("number", "code", "printed"),
+    [(signal.SIGINT, 0, ""), (signal.SIGTERM, 143, "jaxmocap view: terminated\n")],
+)
+def test_a_signal_ends_the_command_and_its_server(folder, number, code, printed):
+    process, ports = opened_page(folder)
+    process.send_signal(number)
     _, stderr = process.communicate(timeout=60)
-    assert process.returncode == 143 and stderr == "jaxmocap view: terminated\n"
-    with pytest.raises(ConnectionRefusedError):
-        socket.create_connection((LOOPBACK, port), 5.0)
+    assert (process.returncode, stderr) == (code, printed)
+    assert not any(map(answers, ports))
 
 
-def test_a_port_that_is_taken_is_said(folder, capsys):
-    with socket.socket() as taken:
-        taken.bind((LOOPBACK, 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        with pytest.raises(InputError, match=f"port {port}"):
-            serve_page(folder / "recording.rrd", port)
+@pytest.mark.skipif(os.name != "posix", reason="a terminal as on POSIX")
+def test_a_closed_terminal_ends_the_command_and_its_server(folder):
+    shown, terminal = os.openpty()
+    process, ports = opened_page(
+        folder, wrapper=IN_TERMINAL, stdin=terminal, stderr=terminal, start_new_session=True
+    )
+    os.close(terminal)
+    os.close(shown)
+    process.wait(60)
+    assert not any(map(answers, ports))
+
+
+def test_a_second_viewer_on_a_port_that_is_taken_names_the_option(folder, capsys):
+    first = serve_page(folder / "recording.rrd", free_port())
+    try:
+        port = int(re.findall(r":(\d+)/", str(first.page))[0])
         assert main(["view", str(folder), "--web", "--port", str(port)]) == 2
-    assert f"port {port}" in capsys.readouterr().err
+        (sentence,) = capsys.readouterr().err.splitlines()
+        assert f"port {port}: is taken" in sentence and "--port" in sentence
+        assert first.is_open
+    finally:
+        first.end()
+
+
+def test_a_viewer_that_ends_at_once_is_an_error_that_names_the_option(folder, monkeypatch):
+    """As one does whose other port was taken in between."""
+    monkeypatch.setattr(view, "viewer_command", lambda: [sys.executable, "-c", ""])
+    with pytest.raises(InputError, match=r"could not be opened there; another one by --port \d+"):
+        serve_page(folder / "recording.rrd", free_port())
 
 
 def test_a_live_view_shows_the_newest_pose_and_image_and_keeps_up(tmp_path, monkeypatch):

@@ -294,7 +294,9 @@ def test_a_process_without_threads_ends_as_ever():
 
 @posix
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "times"), [(signal.SIGINT, 20), (signal.SIGTERM, 5)])
+@pytest.mark.parametrize(
+    ("number", "times"), [(signal.SIGINT, 20), (signal.SIGTERM, 5), (signal.SIGHUP, 5)]
+)
 def test_live_with_a_viewer_ends_cleanly_every_time(tmp_path, number, times):
     """The whole command: Ctrl-C goes to its process group, as a terminal sends it."""
     port, stop, codes = free_port(), threading.Event(), Counter()
@@ -310,7 +312,7 @@ def test_live_with_a_viewer_ends_cleanly_every_time(tmp_path, number, times):
         assert len(Recording.load(tmp_path / str(i) / "recording.toml").times) > 10
     stop.set()
     print(codes)
-    assert set(codes) == {143 if number == signal.SIGTERM else 0}
+    assert set(codes) == {0 if number == signal.SIGINT else 143}
 
 
 def _stopped(path: Path, out: Path, number: int) -> tuple[int, str]:

@@ -16,10 +16,15 @@ from hypothesis import strategies as st
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
+from jaxmocap.body.surfaces.pieces import body_pieces
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.time_series.mot import read_mot, write_mot
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.solids import limb_solid
-from jaxmocap.outputs.overlay import OverlayArtist, deviation_colour, write_overlay
+from jaxmocap.outputs.ellipses import SIGMAS, ellipses_in, landmark_ellipses, uncertainty_of
+from jaxmocap.outputs.floor import floor_of
+from jaxmocap.outputs.layout import lay_out
+from jaxmocap.outputs.overlay import JOINT_COLOUR, OUTLINE_COLOURS, OverlayArtist, write_overlay
 from jaxmocap.outputs.report import write_report
 from jaxmocap.outputs.scene import limb_outlines, make_scene, pixels
 from jaxmocap.outputs.viewer import Footage, write_rerun
@@ -132,9 +137,15 @@ def test_elbows_outlines_and_targets_are_drawn_where_they_project(motion, target
     time = float(motion.times[20])
     artist.draw(canvas, time)
     joints = {name: points[20] for name, points in motion.joints().items()}
-    for name, colour in (("elbow_l", (0, 255, 0)), ("elbow_r", (0, 0, 255))):
+    for name in ("elbow_l", "elbow_r"):
         x, y = pixels(camera, joints[name]).round().astype(int)
-        assert tuple(canvas[y, x]) == colour
+        assert tuple(canvas[y, x]) == JOINT_COLOUR
+    # The right elbow may be 20 cm away along each axis; the left one's ellipse is a point.
+    (ellipse,) = [e for e in ellipses_in(camera, artist.uncertainty, time) if e.elbow == "r"]
+    inside = ((ellipse.points >= 0) & (ellipse.points < [640, 480])).all(1)
+    x, y = ellipse.points[inside].round().astype(int).T
+    near = np.abs(canvas[y, x].astype(int) - OUTLINE_COLOURS["r"]).sum(-1) < 120
+    assert near.mean() > 0.7
     x, y = pixels(camera, targets["Head"][20]).round().astype(int)
     np.testing.assert_allclose(canvas[y, x], (255, 60, 255), atol=60)
     scene = artist.scene
@@ -153,7 +164,7 @@ def test_a_missing_marker_is_not_drawn_and_beyond_the_motion_there_is_no_body(mo
     artist.draw(during, float(motion.times[20]))
     artist.draw(after, float(motion.times[6]))
     artist.draw(late, float(motion.times[-1]) + 1.0)
-    body = slice(60, 220)
+    body = slice(85, 220)
     purple = [(image[body] == (255, 60, 255)).all(-1).sum() for image in (during, after)]
     assert purple[0] > 5 and purple[1] == 0
     assert after[body].any() and not late[body].any()
@@ -190,11 +201,47 @@ def test_no_frame_is_an_input_error_and_leaves_earlier_output_as_it_was(tmp_path
     assert [file.name for file in tmp_path.iterdir()] == ["overlay.mp4"]
 
 
-def test_a_deviation_goes_from_green_over_yellow_to_red():
-    assert deviation_colour(0.0) == (0, 255, 0)
-    assert deviation_colour(0.05) == (0, 255, 255)
-    assert deviation_colour(0.1) == deviation_colour(0.3) == (0, 0, 255)
-    assert len(set(deviation_colour(float("nan")))) == 1
+@settings(max_examples=20, deadline=None)
+@given(
+    st.tuples(*[st.floats(-0.6, 0.6)] * 3),
+    st.tuples(*[st.floats(0.001, 0.02)] * 3),
+    st.integers(0, 1000),
+)
+def test_an_ellipse_is_where_points_that_scatter_so_are_seen(place, deviations, seed):
+    """The covariance of the pixels of many points, against that of the ellipse's own line."""
+    R = np.asarray(make_camera().T_cam_world)[:3, :3]
+    matrix = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
+    camera = Camera.create((320, 240), matrix, [], R, -R @ [3.0, 0, 1.1])
+    centre, spread = np.add(place, [0, 0, 1.1]), np.array(deviations)
+    points = centre + spread * np.random.default_rng(seed).normal(size=(40000, 3))
+    expected = np.cov(pixels(camera, points).T)
+    loops, half_axes = landmark_ellipses(camera, centre[None], spread[None])
+    ring = loops[0, :-1] - pixels(camera, centre[None])
+    found = 2 / SIGMAS**2 * ring.T @ ring / len(ring)
+    np.testing.assert_allclose(found, expected, atol=0.05 * np.trace(expected))
+    assert half_axes[0] == pytest.approx(np.linalg.norm(ring, axis=1).max(), rel=0.02)
+
+
+def test_elbows_have_ellipses_and_others_only_where_they_are_large(motion):
+    deviations = np.full((SAMPLES, len(LANDMARKS), 3), 0.005)
+    deviations[:, LANDMARKS.index("knee_l")] = 0.1
+    deviations[:, LANDMARKS.index("elbow_r")] = np.nan
+    report = replace(motion.report, landmarks_std=deviations)
+    uncertainty = uncertainty_of(replace(motion, report=report))
+    shown = ellipses_in(make_camera(), uncertainty, float(motion.times[20]))
+    assert {ellipse.landmark for ellipse in shown} == {"elbow_l", "knee_l"}
+    assert ellipses_in(make_camera(), uncertainty, float(motion.times[-1]) + 1.0) == []
+    assert uncertainty_of(replace(motion, report=None)) is None
+
+
+def test_the_legend_is_small_and_the_image_behind_it_can_be_seen(motion, targets):
+    artist = OverlayArtist(make_camera(640, 480), motion, targets)
+    plain, canvas = (artist.canvas(np.full((480, 640, 3), 200, np.uint8)) for _ in range(2))
+    artist.draw(canvas, float(motion.times[-1]) + 1.0)
+    rows, columns = np.nonzero((canvas != plain).any(-1))
+    assert rows.max() < 0.25 * 480 and columns.max() < 0.25 * 640
+    dark = canvas[: rows.max() + 1, : columns.max() + 1]
+    assert 40 < np.median(dark) < 160
 
 
 coordinates = st.floats(-0.6, 0.6)
@@ -324,22 +371,45 @@ def test_the_recorded_transforms_carry_the_solids_to_the_joints(tmp_path, motion
     assert [len(row) for row in points] == [0 if 5 <= i < 9 else 1 for i in range(SAMPLES)]
 
 
-def test_the_viewer_shows_each_landmarks_deviation(tmp_path, motion):
+def test_the_viewer_shows_where_landmarks_deviate_by_much(tmp_path, motion):
     deviations = np.full((SAMPLES, len(LANDMARKS), 3), 0.01)
-    deviations[3, 0] = np.nan
     deviations[:, 2] = 0.2
-    guessed = np.zeros(deviations.shape[:2])
-    guessed[:, 5] = 1
-    report = replace(motion.report, landmarks_std=deviations, from_prior=guessed)
+    deviations[3, 2] = np.nan
+    report = replace(motion.report, landmarks_std=deviations)
     write_rerun(tmp_path / "recording.rrd", replace(motion, report=report))
     timed, _ = read_recording(tmp_path / "recording.rrd")
     (batch,) = timed["/world/deviations"]
     sizes = batch.column("Ellipsoids3D:half_sizes").to_pylist()
-    assert [len(row) for row in sizes] == [len(LANDMARKS) - (i == 3) for i in range(SAMPLES)]
-    colours = np.array(batch.column("Ellipsoids3D:colors").to_pylist()[0], np.uint32)
-    red, green, blue = colours >> 24, colours >> 16 & 255, colours >> 8 & 255
-    assert green[1] > red[1] and red[2] > green[2]
-    assert red[5] == green[5] == blue[5]
+    assert [len(row) for row in sizes] == [int(i != 3) for i in range(SAMPLES)]
+    np.testing.assert_allclose(sizes[0], [[0.2] * 3], atol=1e-6)
+
+
+def test_the_viewer_plots_the_joint_angles_as_angles_mot_has_them(tmp_path, motion):
+    write_rerun(tmp_path / "recording.rrd", motion)
+    timed, _ = read_recording(tmp_path / "recording.rrd")
+    write_mot(tmp_path / "angles.mot", motion)
+    columns = read_mot(tmp_path / "angles.mot")[1]
+    shown = [name for name in timed if name.startswith("/joint_angles/")]
+    assert "/joint_angles/elbow_flex_l" in shown and len(shown) == 4
+    for name in shown:
+        rows = [row[0] for b in timed[name] for row in b.column("Scalars:scalars").to_pylist()]
+        np.testing.assert_allclose(rows, np.degrees(columns[name.rpartition("/")[2]]), atol=1e-4)
+
+
+def test_the_floor_lies_under_the_feet_and_where_nothing_is_known_there_is_none(motion):
+    pieces = body_pieces(motion.skeleton)
+    standing = np.zeros_like(np.asarray(motion.poses.angles))
+    still = replace(motion, poses=motion.poses._replace(angles=standing))
+    floor, joints = floor_of(make_scene(still), pieces), still.joints()
+    ankle = float(joints["ankle_l"][0, 2])
+    assert floor is not None and ankle - 0.13 < floor.height_m < ankle - 0.03
+    up = np.add(still.poses.position, [0, 0, 7.0])
+    lifted = replace(still, poses=still.poses._replace(position=up))
+    assert floor_of(make_scene(lifted), pieces).height_m == pytest.approx(floor.height_m + 7.0)
+    unknown = replace(still, poses=still.poses._replace(angles=standing * np.nan))
+    assert floor_of(make_scene(unknown), pieces) is None
+    write = Motion(unknown.skeleton, unknown.times, unknown.poses)
+    assert lay_out({}, make_scene(write), None) is not None
 
 
 def test_a_motion_without_report_or_camera_can_be_viewed(tmp_path, motion):
@@ -400,6 +470,9 @@ sys.path[:0] = {tests!r}
 import test_outputs
 from jaxmocap.formats.files.errors import OutputError
 from jaxmocap.outputs.viewer import write_rerun
+from jaxmocap.outputs.ellipses import SIGMAS, ellipses_in, landmark_ellipses, uncertainty_of
+from jaxmocap.outputs.floor import floor_of
+from jaxmocap.outputs.layout import lay_out
 from jaxmocap.outputs.overlay import write_overlay
 motion, camera = test_outputs.make_motion(), test_outputs.make_camera()
 rng = test_outputs.np.random.default_rng(0)

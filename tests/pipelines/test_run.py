@@ -23,6 +23,7 @@ from jaxmocap.capture.video import open_video
 from jaxmocap.cli.recording_options import select_cameras, with_height
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.formats.recordings.filters import Filters
 from jaxmocap.formats.recordings.recording import Recording
@@ -35,7 +36,7 @@ from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.summary import figures, frames_per_second, misfit, summary
 from jaxmocap.pipelines.tracking import warnings
 from jaxmocap.pipelines.tracking.track import choose_settings, make_tracker, track, track_both
-from jaxmocap.pipelines.writing import arm_edges, viewer_frames, write_outputs
+from jaxmocap.pipelines.writing import MOTION, arm_edges, viewer_frames, write_outputs
 from jaxmocap.smoothing.fixed_lag import DELAY_S
 
 WRISTS = {"wrist_l": "LWrist", "wrist_r": "RWrist"}
@@ -345,7 +346,7 @@ def written(tracked, tmp_path_factory):
         "motion.bvh",
         "motion.glb",
         "report.json",
-        "overlay.mp4",
+        "overlay_cam.mp4",
         "recording.rrd",
     ]
     return folder
@@ -353,7 +354,7 @@ def written(tracked, tmp_path_factory):
 
 def test_everything_is_written_and_nothing_else(written):
     names = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
-    names |= {"angles_isb.mot", "report.json", "overlay.mp4", "recording.rrd", "outputs.json"}
+    names |= {"angles_isb.mot", "report.json", "overlay_cam.mp4", "recording.rrd", "outputs.json"}
     assert {path.name for path in written.iterdir()} == names
 
 
@@ -386,7 +387,7 @@ def test_the_report_counts_warnings(written, tmp_path):
 def test_the_overlay_has_every_frame(written):
     import av
 
-    with av.open(str(written / "overlay.mp4")) as video:
+    with av.open(str(written / "overlay_cam.mp4")) as video:
         stream = video.streams.video[0]
         assert sum(1 for _ in video.decode(stream)) == FRAMES
         assert (stream.width, stream.height) == (96, 72)
@@ -397,7 +398,7 @@ def test_the_overlay_is_drawn_by_the_camera_as_it_was_found(written, tracked, tm
     import av
 
     def drawn(folder) -> np.ndarray:
-        with av.open(str(folder / "overlay.mp4")) as video:
+        with av.open(str(folder / "overlay_cam.mp4")) as video:
             return np.stack([frame.to_ndarray(format="gray") for frame in video.decode(video=0)])
 
     def with_turns(turns) -> Motion:
@@ -420,7 +421,16 @@ def test_with_two_cameras_each_has_its_overlay(tracked, tmp_path):
     second = replace(recording.videos[0], camera_name="side")
     two = replace(recording, videos=(*recording.videos, second))
     write_outputs(tracked.motion, two, tmp_path)
-    assert {path.name for path in tmp_path.glob("*.mp4")} == {"overlay.mp4", "overlay_side.mp4"}
+    assert {path.name for path in tmp_path.glob("*.mp4")} == {"overlay_cam.mp4", "overlay_side.mp4"}
+
+
+def test_an_earlier_runs_files_of_other_names_are_removed(tracked, tmp_path):
+    """Up to version 0.1 the first camera's overlay had no camera in its name."""
+    with OutputFolder(tmp_path, MOTION).writing() as stage:
+        (stage / "overlay.mp4").write_bytes(b"earlier")
+    (tmp_path / "own.mp4").write_bytes(b"own")
+    write_outputs(tracked.motion, small_recording(), tmp_path)
+    assert {path.name for path in tmp_path.glob("*.mp4")} == {"overlay_cam.mp4", "own.mp4"}
 
 
 def test_the_viewer_gets_edges_of_both_arms_and_no_more_frames_than_it_can_hold(tracked):

@@ -47,19 +47,19 @@ class Stretch(NamedTuple):
 
 
 def body_pieces(skeleton: Skeleton) -> dict[str, Solid]:
-    """Bone -> its piece, in the bone's frame; plain limbs for a body without the table's bones."""
+    """Bone -> its piece, in the bone's frame; what the table does not hold are plain limbs."""
     limbs, tree = lofted_parts(), skeleton.tree
-    if not {bone for limb in limbs for bone in (*limb.bones, limb.above) if bone} <= {*tree.bones}:
-        return _plain_limbs(skeleton)
+    listed = {bone for limb in limbs for bone in (*limb.bones, limb.above) if bone}
     joints = rest_joints(skeleton)
     pieces: dict[str, list[Solid]] = {}
-    for limb in limbs:
+    for limb in limbs if listed <= {*tree.bones} else ():
         for stretch in stretches(limb):
             vertices, triangles = _mesh(skeleton, limb, stretch)
             normals = normals_of(vertices, triangles)
             own = Solid(vertices - joints[tree.bone(stretch.bone)], normals, triangles)
             pieces.setdefault(stretch.bone, []).append(own)
-    return {bone: _joined(solids) for bone, solids in pieces.items()}
+    lofted = {bone: _joined(solids) for bone, solids in pieces.items()}
+    return _plain_limbs(skeleton, [bone for bone in tree.bones if bone not in lofted]) | lofted
 
 
 def stretches(limb: LoftedPart) -> list[Stretch]:
@@ -107,8 +107,8 @@ def _joined(solids: list[Solid]) -> Solid:
     )
 
 
-def _plain_limbs(skeleton: Skeleton) -> dict[str, Solid]:
-    """The hull of two spheres about each bone."""
+def _plain_limbs(skeleton: Skeleton, bones: list[str]) -> dict[str, Solid]:
+    """The hull of two spheres about each of some bones."""
     reach = np.asarray(skeleton.lengths[:, None] * skeleton.directions)
-    radii = np.asarray(skeleton.diameters) / 2
-    return {bone: limb_solid(reach[i], radii[i]) for i, bone in enumerate(skeleton.tree.bones)}
+    radii, tree = np.asarray(skeleton.diameters) / 2, skeleton.tree
+    return {bone: limb_solid(reach[tree.bone(bone)], radii[tree.bone(bone)]) for bone in bones}
