@@ -124,9 +124,8 @@ class LiveView:
             )
         angles = np.degrees(np.asarray(snapshot.pose.angles, float))
         deviations = 100 * np.asarray(snapshot.deviations, float)
-        for root, values in (
-            (layout.ANGLES, {name: angles[i] for name, i in self._joints.items()}),
-            (layout.DEVIATIONS, dict(zip(series_recorder.SIDES, deviations, strict=True))),
-            ("milliseconds", {LATENCY: snapshot.latency_ms}),
-        ):
-            series_recorder.log_values(self._stream, root, values)
+        joints = {name: float(angles[i]) for name, i in self._joints.items()}
+        elbows = {s: float(d) for s, d in zip(series_recorder.SIDES, deviations, strict=True)}
+        series_recorder.log_values(self._stream, layout.ANGLES, joints)
+        series_recorder.log_values(self._stream, layout.DEVIATIONS, elbows)
+        series_recorder.log_values(self._stream, "milliseconds", {LATENCY: snapshot.latency_ms})

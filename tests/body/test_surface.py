@@ -260,7 +260,8 @@ def test_the_pieces_of_a_body_are_closed_and_meet_in_a_ball_about_each_joint():
     """Together they are the surface; what a bent joint shows is the round end of either."""
     pieces = body_pieces(TALL)
     joints, tree = rest_joints(TALL), TALL.tree
-    assert set(pieces) == set(tree.bones)
+    bare = {bone for bone in tree.bones if bone.startswith(("clavicle", "hip"))}
+    assert set(pieces) == set(tree.bones) - bare
     volume = 0.0
     for solid in pieces.values():
         corners = solid.vertices[solid.triangles]

@@ -8,28 +8,25 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 from test_outputs import START, make_camera, make_motion
 
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS
 from jaxmocap.outputs.viewer import Footage, write_rerun
 from jaxmocap.pipelines.view import LOOPBACK, free_port, serve_page
 
-OPTIONS = [
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--window-size=1500,950",
-]
+# fmt: off
+OPTIONS = (
+    "--headless=new", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-sync",
+    "--disable-background-networking", "--disable-component-update", "--use-gl=angle",
+    "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=1500,950",
+)
+# fmt: on
 WAIT_S = 120
 # Rows and columns of a picture of 1500 x 807 pixels, as shares.
 BODY, IMAGE = np.s_[0.09:0.69, 0.0:0.49], np.s_[0.12:0.69, 0.52:1.0]
@@ -57,7 +54,7 @@ def browser() -> Iterator:
                 break
             except OSError:
                 time.sleep(0.1)
-        wanted = {"alwaysMatch": {"goog:chromeOptions": {"args": OPTIONS}}}
+        wanted = {"alwaysMatch": {"goog:chromeOptions": {"args": list(OPTIONS)}}}
         session = "/session/" + call("POST", "/session", {"capabilities": wanted})["sessionId"]
         yield lambda method, path, body=None: call(method, session + path, body)
     finally:
@@ -110,13 +107,21 @@ def test_what_is_missing_from_an_empty_page_is_everything():
         assert len(missing_from(np.full((807, 1500, 3), grey, np.uint8))) == 8
 
 
+def wavering(motion: Motion) -> Motion:
+    """The motion, its elbows' deviations going up and down, so that both curves show."""
+    deviations = np.full((len(motion.times), len(LANDMARKS), 3), 0.02)
+    for elbow, shift in zip(ELBOWS, (0.0, 1.5), strict=True):
+        deviations[:, elbow] += 0.01 * np.sin(9 * (motion.times - START) + shift)[:, None]
+    return replace(motion, report=replace(motion.report, landmarks_std=deviations))
+
+
 @pytest.mark.slow
 def test_a_browser_shows_body_image_and_curves(tmp_path):
     if not (shutil.which("chromium") and shutil.which("chromedriver")):
         pytest.skip("no chromium and chromedriver here")
     image = np.full((480, 640, 3), IMAGE_BGR, np.uint8)
     footage = Footage(make_camera(640, 480), [(START + i / 30, image) for i in range(13)])
-    write_rerun(tmp_path / "recording.rrd", make_motion(), {"cam": footage})
+    write_rerun(tmp_path / "recording.rrd", wavering(make_motion()), {"cam": footage})
     served = serve_page(tmp_path / "recording.rrd", free_port())
     end, missing = time.monotonic() + WAIT_S, ["a picture"]
     try:

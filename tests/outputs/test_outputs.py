@@ -337,7 +337,8 @@ def test_the_viewer_recording_reads_back_with_every_part_at_its_time(tmp_path, m
     timed, static = read_recording(path)
     expected = np.round(motion.times * 1e9)
     for bone in motion.skeleton.tree.bones:
-        assert "Mesh3D:vertex_positions" in static[f"/world/body/{bone}"][0].schema.names
+        if not bone.startswith(("clavicle", "hip")):
+            assert "Mesh3D:vertex_positions" in static[f"/world/body/{bone}"][0].schema.names
         np.testing.assert_allclose(nanoseconds(timed[f"/world/body/{bone}"]), expected, atol=1)
     camera = r"/world/cameras/cam\ 01"
     frames = np.round((START + 0.004 + np.arange(6) / 30) * 1e9)

@@ -1,4 +1,4 @@
-"""The generic body cut into rigid pieces with round ends, one for each bone: for viewers.
+"""The generic body cut into rigid pieces with round ends, one for each bone, for viewers.
 
 INPUTS: a Skeleton. OUTPUTS: a Solid in the frame of each bone that has flesh.
 
@@ -35,8 +35,8 @@ class Stretch(NamedTuple):
         bone: name.
         first: place of its first ring on the limb's bones laid end to end, as in the table.
         last: place of its last ring.
-        near_cap: whether another bone's stretch ends at ``first``.
-        far_cap: whether another bone's stretch begins at ``last``.
+        near_cap: whether it ends in a ball about the joint at ``first``, not with the surface.
+        far_cap: the same at ``last``.
     """
 
     bone: str
@@ -47,28 +47,38 @@ class Stretch(NamedTuple):
 
 
 def body_pieces(skeleton: Skeleton) -> dict[str, Solid]:
-    """Bone -> its piece, in the bone's frame; what the table does not hold are plain limbs."""
+    """Bone -> its piece, in the bone's frame; clavicles and hips have none.
+
+    Bones that the table of cross-sections does not hold are plain limbs.
+    """
     limbs, tree = lofted_parts(), skeleton.tree
     listed = {bone for limb in limbs for bone in (*limb.bones, limb.above) if bone}
-    joints = rest_joints(skeleton)
-    pieces: dict[str, list[Solid]] = {}
-    for limb in limbs if listed <= {*tree.bones} else ():
-        for stretch in stretches(limb):
+    if not listed <= {*tree.bones}:
+        return _plain_limbs(skeleton, list(tree.bones))
+    joints, pieces = rest_joints(skeleton), {}
+    fleshed = {bone for limb in limbs for bone in limb.bones}
+    for limb in limbs:
+        for stretch in stretches(limb, limb.above != "" and limb.above not in fleshed):
             vertices, triangles = _mesh(skeleton, limb, stretch)
             normals = normals_of(vertices, triangles)
-            own = Solid(vertices - joints[tree.bone(stretch.bone)], normals, triangles)
-            pieces.setdefault(stretch.bone, []).append(own)
-    lofted = {bone: _joined(solids) for bone, solids in pieces.items()}
-    return _plain_limbs(skeleton, [bone for bone in tree.bones if bone not in lofted]) | lofted
+            own = vertices - joints[tree.bone(stretch.bone)]
+            pieces[stretch.bone] = Solid(own, normals, triangles)
+    return _plain_limbs(skeleton, [bone for bone in tree.bones if bone not in listed]) | pieces
 
 
-def stretches(limb: LoftedPart) -> list[Stretch]:
-    """A limb's stretches from its near end, cut at its bones' joints."""
-    parts = [Stretch(limb.above, float(limb.at[0]), 0.0, False, True)] if limb.above else []
+def stretches(limb: LoftedPart, in_trunk: bool) -> list[Stretch]:
+    """A limb's stretches from its near end, cut at its bones' joints.
+
+    Args:
+        limb: of the table.
+        in_trunk: it begins at its first joint, within the trunk's flesh; else with its first ring,
+            as a foot does with its heel.
+    """
+    parts = []
     for k, bone in enumerate(limb.bones):
-        begins, ends = k == 0 and not limb.above, k == len(limb.bones) - 1
-        first, last = limb.at[0] if begins else k, limb.at[-1] if ends else k + 1
-        parts.append(Stretch(bone, float(first), float(last), not begins, not ends))
+        near_cap, far_cap = k > 0 or in_trunk, k < len(limb.bones) - 1
+        first, last = k if near_cap else limb.at[0], k + 1 if far_cap else limb.at[-1]
+        parts.append(Stretch(bone, float(first), float(last), near_cap, far_cap))
     return parts
 
 
@@ -78,7 +88,7 @@ def _mesh(skeleton: Skeleton, limb: LoftedPart, stretch: Stretch) -> tuple[np.nd
     ends, _, _ = ring_frames(skeleton, limb, outer, stature_of(skeleton))
     axis = ends[1] - ends[0]
     count = max(int(np.ceil(np.linalg.norm(axis) / RING_M)), 3)
-    places = np.concatenate([outer[:1], np.linspace(*outer, count), outer[1:]])
+    places = np.concatenate([outer[:1], np.linspace(stretch.first, stretch.last, count), outer[1:]])
     grid = lofted_rings(skeleton, limb, places, AROUND)
     near = _cap(grid[1], -axis)[::-1] if stretch.near_cap else grid[:1]
     far = _cap(grid[-2], axis) if stretch.far_cap else grid[-1:]
@@ -94,17 +104,6 @@ def _cap(ring: np.ndarray, axis: np.ndarray) -> np.ndarray:
     height = np.linalg.norm(spokes, axis=-1).mean() * axis / np.linalg.norm(axis)
     lift = np.linspace(0, np.pi / 2, CAP_RINGS + 1)[1:, None, None]
     return centre + np.cos(lift) * spokes + np.sin(lift) * height
-
-
-def _joined(solids: list[Solid]) -> Solid:
-    """Several solids as one."""
-    starts = np.cumsum([0, *(len(solid.vertices) for solid in solids[:-1])])
-    triangles = [start + solid.triangles for start, solid in zip(starts, solids, strict=True)]
-    return Solid(
-        np.concatenate([solid.vertices for solid in solids]),
-        np.concatenate([solid.normals for solid in solids]),
-        np.concatenate(triangles),
-    )
 
 
 def _plain_limbs(skeleton: Skeleton, bones: list[str]) -> dict[str, Solid]:

@@ -148,7 +148,7 @@ def demonstrate_silhouettes(
     def write(stage: Path) -> list[Path]:
         written = write_into(result, recording, stage, progress, own)
         runs = [errors] if before is None else [before[0], errors]
-        named = dict(zip(MODEL_RUNS, runs, strict=False))
+        named: dict[str, Errors] = dict(zip(MODEL_RUNS, runs, strict=False))
         plot_joint_errors(stage / PLOT_FILE, named, "Position errors")
         return [*written, stage / PLOT_FILE]
 
