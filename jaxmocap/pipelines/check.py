@@ -12,6 +12,7 @@ from jaxmocap.capture.checks.markers import Finding
 from jaxmocap.capture.footage import open_unchecked
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.marker_sets.sets import MarkerSet
 from jaxmocap.formats.recordings.recording import Recording
 
 
@@ -41,6 +42,7 @@ class RecordingCheck:
             "end_s": float(times[-1]),
             "rate_hz": 1 / interval if interval else None,
             "markers": list(self.recording.marker_names),
+            "marker_set": _set_figures(self.recording.marker_set),
             "cameras": [view.figures() for view in self.views],
             "findings": [asdict(finding) for finding in self.findings],
             "warnings": list(self.warnings),
@@ -54,6 +56,7 @@ class RecordingCheck:
             f"person   {figures['stature_m']:.2f} m tall",
             f"markers  {', '.join(figures['markers'])}: {figures['samples']} samples{rate}, "
             f"{figures['start_s']:.2f} to {figures['end_s']:.2f} s",
+            *([f"set      {used.sentence()}"] if (used := self.recording.marker_set) else []),
             *map(_view_line, self.views),
             *(f"warning  {sentence}" for sentence in self.warnings),
             # The first error ends the command, with its sentence.
@@ -70,6 +73,17 @@ class RecordingCheck:
         if self.findings and self.findings[0].fatal:
             where = self.recording.path or self.recording.name
             raise InputError(where, self.findings[0].sentence)
+
+
+def _set_figures(marker_set: MarkerSet | None) -> dict[str, Any] | None:
+    if marker_set is None:
+        return None
+    return {
+        "name": marker_set.name,
+        "found": list(marker_set.entries),
+        "missing": list(marker_set.missing),
+        "unused": list(marker_set.unused),
+    }
 
 
 def _view_line(view: MarkerVisibility) -> str:

@@ -242,7 +242,7 @@ def test_a_motion_is_compared_with_an_animation_file(folder, suffix, elbow):
     arguments = ["evaluate", str(tracked), str(folder / f"truth.{suffix}")]
     arguments += ["--match", f"elbow_l={elbow}", "--json", str(folder / "errors.json")]
     assert main([*arguments, "--offset", "4"]) == 0
-    errors = evaluate_directory(folder, folder / f"truth.{suffix}", {"elbow_l": elbow}, offset=4)
+    errors = evaluate_directory(tracked, folder / f"truth.{suffix}", {"elbow_l": elbow}, offset=4)
     np.testing.assert_allclose(errors.offsets, np.broadcast_to([0.03, 0, 0], errors.offsets.shape),
                                atol=1e-5)  # fmt: skip
     assert main(arguments) == 2

@@ -12,6 +12,9 @@ from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.cli import main
 from jaxmocap.formats.cameras.calibration import write_calibration
+from jaxmocap.formats.marker_sets.sets import set_file
+from jaxmocap.formats.time_series.c3d import write_c3d
+from jaxmocap.formats.time_series.tables import Markers
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.synthetic.recording import write_video
 
@@ -34,8 +37,15 @@ def write_files_named_by(table: dict[str, Any], folder: Path) -> None:
     markers, subject = table.get("markers", {}), table.get("subject", {})
     rigid = [name for names in markers.get("rigid", {}).values() for name in names]
     alone = [name for name in markers.get("on", {}) if name not in markers.get("rigid", {})]
+    if "set" in markers:
+        alone += set_file(markers["set"])[0]
     if "file" in markers:
-        write_trc(folder / markers["file"], *_standing([*alone, *rigid]))
+        times, points = _standing([*alone, *rigid])
+        if markers["file"].endswith(".c3d"):
+            positions = np.stack(list(points.values()), 1)
+            write_c3d(folder / markers["file"], Markers(times, tuple(points), positions))
+        else:
+            write_trc(folder / markers["file"], times, points)
     if "static" in subject:
         write_static(folder / subject["static"], subject.get("landmarks", {}))
     if "file" in subject:

@@ -18,6 +18,7 @@ from jaxmocap.formats.cameras.video_sources import VideoSource, read_videos
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr
 from jaxmocap.formats.files.toml import TomlTable, read_toml, write_toml
+from jaxmocap.formats.marker_sets.sets import SET_KEYS, MarkerSet, read_set
 from jaxmocap.formats.recordings.filters import FILTER_KEYS, Filters, read_filters
 from jaxmocap.formats.recordings.marker_places import (
     MarkerPlace,
@@ -52,6 +53,7 @@ class Recording:
         filters: that the markers are to go through before they are tracked.
         origin_world: (3,) metres, float64: what was subtracted from the world's coordinates of
             markers and cameras; not zero where they are far from 0, see ``geometry.origin``.
+        marker_set: that places markers, and what the file has of it; or None.
     """
 
     skeleton: Skeleton
@@ -66,6 +68,7 @@ class Recording:
     stated_rate: float | None = None
     filters: Filters = field(default_factory=Filters)
     origin_world: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    marker_set: MarkerSet | None = None
 
     def __post_init__(self):
         """Check that the parts fit, wherever they came from."""
@@ -126,17 +129,18 @@ def load_recording(path: str | Path) -> Recording:
     """
     path = Path(path)
     top = TomlTable(path, "", read_toml(path), ("markers", "video", "calibration", "subject"))
+    skeleton, warnings = subject_or_default(top)
     if "markers" not in top and not top.entries.get("video"):
         raise top.error("", "neither [markers] nor [[video]], expected one of them")
     if "markers" not in top:
-        skeleton, warnings = subject_or_default(top)
         no_markers = np.zeros(0), np.zeros((0, 0, 3)), ()
         videos = read_videos(top)
         return _at_local_origin(
             top, Recording(skeleton, *no_markers, videos, path.stem, path, warnings)
         )
-    markers, places, filters = _read_placed_markers(top)
-    skeleton, warnings = subject_or_default(top, need_wrists(places))
+    markers, places, filters, marker_set = _read_placed_markers(top, skeleton)
+    if need_wrists(places):
+        skeleton, warnings = subject_or_default(top, wrists=True)
     is_present = np.isfinite(markers.positions.sum(-1))
     warnings += tuple(
         f"{path}: marker {place.name!r} is missing in every sample"
@@ -156,6 +160,7 @@ def load_recording(path: str | Path) -> Recording:
         top.path.parent / top.entries["markers"]["file"],
         markers.rate,
         filters,
+        marker_set=marker_set,
     )
     return _at_local_origin(top, recording)
 
@@ -191,8 +196,9 @@ def load_markers(path: str | Path) -> tuple[Markers, tuple[MarkerPlace, ...]]:
     """
     path = Path(path)
     keys = ("markers", "video", "calibration", "subject")
-    markers, places, _ = _read_placed_markers(TomlTable(path, "", read_toml(path), keys))
-    bones = Skeleton.human().tree.bones
+    top, skeleton = TomlTable(path, "", read_toml(path), keys), Skeleton.human()
+    markers, places, _, _ = _read_placed_markers(top, skeleton)
+    bones = skeleton.tree.bones
     for place in places:
         if place.bone not in bones:
             raise InputError(
@@ -201,16 +207,18 @@ def load_markers(path: str | Path) -> tuple[Markers, tuple[MarkerPlace, ...]]:
     return markers, places
 
 
-def _read_placed_markers(top: TomlTable) -> tuple[Markers, tuple[MarkerPlace, ...], Filters]:
-    """The markers of [markers.on] in the world's axes, their places, and their filters."""
-    keys = ("file", "up", "to_world", "on", "filters", "rigid")
+def _read_placed_markers(
+    top: TomlTable, skeleton: Skeleton
+) -> tuple[Markers, tuple[MarkerPlace, ...], Filters, MarkerSet | None]:
+    """The markers that are placed in the world's axes, their places, their filters, their set."""
+    keys = ("file", "up", "to_world", *SET_KEYS, "on", "filters", "rigid")
     fields = TomlTable(top.path, "[markers]", top.required("markers"), keys)
     file = fields.file("file")
     R_world_file = read_axes(fields)
-    on = TomlTable(top.path, "[markers.on]", fields.required("on"))
-    if not on.entries:
+    given = fields.entries.get("on", {}) if "set" in fields else fields.required("on")
+    on = TomlTable(top.path, "[markers.on]", given)
+    if not on.entries and "set" not in fields:
         raise on.error("", "names no marker, expected entries such as Head = { bone = 'head' }")
-    places = tuple(read_place(top.path, name, entry) for name, entry in on.entries.items())
     sets = TomlTable(top.path, "[markers.rigid]", fields.entries.get("rigid", {}))
     filter_table = TomlTable(
         top.path, "[markers.filters]", fields.entries.get("filters", {}), FILTER_KEYS
@@ -218,19 +226,23 @@ def _read_placed_markers(top: TomlTable) -> tuple[Markers, tuple[MarkerPlace, ..
     filters = read_filters(filter_table)
     all_markers = read_markers(file)
     available = (*all_markers.names, *sets.entries)
-    markers = with_rigid_sets(sets, all_markers, on.entries)
+    marker_set = read_set(fields, all_markers.names, skeleton)
+    entries = {**(marker_set.entries if marker_set else {}), **on.entries}
+    places = tuple(read_place(top.path, name, entry) for name, entry in entries.items())
+    markers = with_rigid_sets(sets, all_markers, entries)
     # A long recording's numbers are not to be in memory thrice.
     del all_markers
     for name in on.entries.keys() - set(available):
         raise on.error(name, f"no such marker in {file}, found {comma_list(available)}")
-    markers = _selected_markers(markers, tuple(on.entries))
+    markers = _selected_markers(markers, tuple(entries))
     if markers.orientations is not None and np.linalg.det(R_world_file) < 0:
         raise fields.error(
             "to_world", "found a reflection, which leaves no orientation of a marker"
         )
     orientations = None if markers.orientations is None else R_world_file @ markers.orientations
     positions_world = to_world(R_world_file, markers.positions)
-    return replace(markers, positions=positions_world, orientations=orientations), places, filters
+    markers = replace(markers, positions=positions_world, orientations=orientations)
+    return markers, places, filters, marker_set
 
 
 def _selected_markers(markers: Markers, names: tuple[str, ...]) -> Markers:

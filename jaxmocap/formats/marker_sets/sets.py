@@ -1,0 +1,172 @@
+"""Common sets of markers: where each one sits on the body, so that no recording has to say it.
+
+INPUTS: ``set``, ``skip`` and ``prefix`` of [markers], the labels of a marker file, a skeleton.
+OUTPUTS: entries as those of [markers.on], for the markers that the file has; what is missing.
+
+A set is a file in ``data``. Its offsets are metres of a person 1.70 m tall, and grow with the
+person. A marker with a ``joint`` is used where the body has that joint: a heel tells nothing of a
+body without ankles. Those that sit where there is no bone to name (a wand, a cluster) are
+``unused``: [markers.on] can place them.
+"""
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxmocap.body.skeleton import WINTER_LENGTHS, Skeleton
+from jaxmocap.formats.files.short_repr import comma_list, short_repr
+from jaxmocap.formats.files.toml import TomlTable
+
+SET_KEYS = ("set", "skip", "prefix")
+# The person whose offsets the files have: OpenSim's full-body model.
+STATURE_M = 1.70
+_SIDES = (("L", "l"), ("R", "r"))
+
+
+@dataclass(frozen=True)
+class MarkerSet:
+    """A set of markers and what a file has of it.
+
+    Attributes:
+        name: of the set.
+        entries: label in the file -> its entry, as of [markers.on].
+        missing: markers of the set that the file does not have, or never measures.
+        unused: labels in the file that the set names but does not place on this body.
+    """
+
+    name: str
+    entries: dict[str, dict[str, Any]]
+    missing: tuple[str, ...]
+    unused: tuple[str, ...]
+
+    def sentence(self) -> str:
+        """What was found, in one line."""
+        all_count = len(self.entries) + len(self.missing)
+        parts = [f"{self.name}: {len(self.entries)} of {all_count} markers"]
+        parts += [f"missing {comma_list(self.missing)}"] if self.missing else []
+        parts += [f"not used {comma_list(self.unused)}"] if self.unused else []
+        return "; ".join(parts)
+
+
+def set_names() -> tuple[str, ...]:
+    """Names of the sets there are."""
+    files = resources.files("jaxmocap.formats.marker_sets").joinpath("data").iterdir()
+    return tuple(sorted(Path(file.name).stem for file in files if file.name.endswith(".toml")))
+
+
+@cache
+def set_file(name: str) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
+    """Marker -> its entry, and unused markers, both with their sides."""
+    folder = resources.files("jaxmocap.formats.marker_sets").joinpath("data")
+    data = tomllib.loads(folder.joinpath(f"{name}.toml").read_text(encoding="utf-8"))
+    markers = {
+        label: entry for pattern in data["marker"].items() for label, entry in _both_sides(*pattern)
+    }
+    unused = [label for each in data["unused"] for label, _ in _both_sides(each, {})]
+    return markers, tuple(unused)
+
+
+def _both_sides(pattern: str, entry: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """A marker in the middle as it is; of one with a side, the left one and its mirror image."""
+    if "{s}" not in pattern:
+        return [(pattern, entry)]
+    sided = []
+    for letter, side in _SIDES:
+        texts = {k: v.format(side=side) if isinstance(v, str) else v for k, v in entry.items()}
+        if "offset" in entry and side == "r":
+            x, y, z = entry["offset"]
+            texts["offset"] = [x, -y, z]
+        sided.append((pattern.format(s=letter), texts))
+    return sided
+
+
+def read_set(fields: TomlTable, labels: Sequence[str], skeleton: Skeleton) -> MarkerSet | None:
+    """The set that [markers] names; None where it names none.
+
+    Args:
+        fields: of [markers].
+        labels: of the marker file.
+        skeleton: of the person.
+
+    Raises:
+        InputError: no such set, nothing of it in the file, several people in it, or a marker to
+            skip that the set does not have.
+    """
+    if "set" not in fields:
+        for key in SET_KEYS[1:]:
+            if key in fields:
+                raise fields.error(key, "needs 'set', the set of markers that it is about")
+        return None
+    name = fields.text("set")
+    if name not in set_names():
+        expected = ", ".join(set_names())
+        raise fields.error("set", f"found {short_repr(name)}, expected one of {expected}")
+    markers, unused = set_file(name)
+    skipped = _skipped(fields, (*markers, *unused))
+    by_marker = _labels_by_marker(fields, labels, {*markers, *unused})
+    fits = {m: "joint" not in e or e["joint"] in skeleton.tree.joints for m, e in markers.items()}
+    used = [m for m in markers if fits[m] and m not in skipped]
+    if not any(marker in by_marker for marker in used):
+        problem = f"none of the markers of {name} is in the file, found {comma_list(labels)}"
+        raise fields.error("set", problem)
+    factor = _size(skeleton)
+    entries = {by_marker[m]: _entry(markers[m], factor) for m in used if m in by_marker}
+    left = [*(m for m in markers if not fits[m]), *unused]
+    return MarkerSet(
+        name,
+        entries,
+        tuple(m for m in used if m not in by_marker),
+        tuple(by_marker[m] for m in left if m in by_marker and m not in skipped),
+    )
+
+
+def _entry(entry: dict[str, Any], factor: float) -> dict[str, Any]:
+    offset = [factor * each for each in entry["offset"]]
+    return {"bone": entry["bone"], "at": entry["at"], "offset": offset}
+
+
+def _size(skeleton: Skeleton) -> float:
+    """How large a person is against the one of ``STATURE_M``, by trunk and legs."""
+    bones = [*skeleton.tree.bones_in("trunk"), *skeleton.tree.bones_in("thigh", "shank", side="l")]
+    fractions = sum(WINTER_LENGTHS[part] for part in ("trunk", "thigh", "shank"))
+    return float(np.asarray(skeleton.lengths, float)[bones].sum()) / (fractions * STATURE_M)
+
+
+def _skipped(fields: TomlTable, markers: Sequence[str]) -> list[str]:
+    """``skip``: markers of the set that are left out."""
+    skipped = fields.entries.get("skip", [])
+    if not isinstance(skipped, list) or not all(isinstance(each, str) for each in skipped):
+        raise fields.error("skip", f"found {short_repr(skipped)}, expected a list of markers")
+    for each in skipped:
+        if each not in markers:
+            raise fields.error(
+                "skip", f"found {short_repr(each)}, expected some of {comma_list(markers)}"
+            )
+    return skipped
+
+
+def _labels_by_marker(
+    fields: TomlTable, labels: Sequence[str], markers: set[str]
+) -> dict[str, str]:
+    """Marker of the set -> its label in the file, which a person's name may precede."""
+    people: dict[str, dict[str, str]] = {}
+    for label in labels:
+        person, _, marker = label.rpartition(":")
+        if marker in markers:
+            people.setdefault(person, {})[marker] = label
+    if "prefix" in fields:
+        prefix = fields.text("prefix")
+        if prefix.removesuffix(":") not in people:
+            found = comma_list(people) if people else "none"
+            raise fields.error("prefix", f"found {short_repr(prefix)}, the file has {found}")
+        return people[prefix.removesuffix(":")]
+    if len(people) > 1:
+        problem = f"the file has several people, {comma_list(people)}: state one as prefix"
+        raise fields.error("set", problem)
+    return next(iter(people.values()), {})

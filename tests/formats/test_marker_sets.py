@@ -1,0 +1,140 @@
+"""Sets of markers: a recording in three lines, and what is wrong with those lines."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jaxmocap.body.kinematics import Sites, forward, site_positions
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton, with_joints, with_wrists
+from jaxmocap.cli import main
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.toml import TomlTable
+from jaxmocap.formats.marker_sets.sets import read_set, set_file, set_names
+from jaxmocap.formats.recordings.recording import load_recording
+from jaxmocap.formats.time_series.trc import write_trc
+from jaxmocap.pipelines.tracking.track import track
+
+BODY = ("C7", "CLAV", "LASI", "RASI", "LKNE", "RKNE", "LWRA", "RWRA", "LTOE", "LTHI")
+
+
+def found(labels, skeleton=None, **fields):
+    table = TomlTable("r.toml", "[markers]", {"set": "plug-in-gait", **fields})  # type: ignore
+    return read_set(table, labels, skeleton or Skeleton.human(1.7))
+
+
+def recording(folder, fields: str, labels=BODY):
+    times = np.arange(5) / 50
+    points = {label: np.tile([0.1 * i, 0.0, 1.0], (5, 1)) for i, label in enumerate(labels)}
+    write_trc(folder / "markers.trc", times, points)
+    (folder / "r.toml").write_text(f'[markers]\nfile = "markers.trc"\n{fields}\n')
+    return folder / "r.toml"
+
+
+@pytest.mark.parametrize("name", set_names())
+def test_every_set_sits_on_the_outside_of_its_own_side_of_a_person(name):
+    skeleton = with_joints(Skeleton.human(1.7), "supple.toml")
+    markers, unused = set_file(name)
+    names = list(markers)
+    assert not set(names) & set(unused) and len(set(names)) == len(names) > 15
+    bones = [skeleton.tree.bone(markers[m]["bone"]) for m in names]
+    at = np.array([markers[m]["at"] for m in names], np.float32)
+    offsets = np.array([markers[m]["offset"] for m in names], np.float32)
+    angles = np.zeros(len(skeleton.tree.joints), np.float32)
+    upright = Pose(*(np.array(v, np.float32) for v in ([0, 0, 0.9], [1, 0, 0, 0], angles)))
+    places = np.asarray(
+        site_positions(skeleton, forward(skeleton, upright), Sites(bones, at, offsets))
+    )
+    for marker, (_, left, height) in zip(names, places, strict=True):
+        side = (
+            {"L": 1, "R": -1}.get(marker[0], 0)
+            if markers[marker]["bone"][-2:] in ("_l", "_r")
+            else 0
+        )
+        assert side * left >= 0 and -0.05 < height < 1.8
+        if side == 1:
+            mirrored = places[names.index("R" + marker[1:])]
+            assert mirrored == pytest.approx(
+                [places[names.index(marker)][0], -left, height], abs=1e-5
+            )
+
+
+def test_a_set_places_the_markers_that_the_file_has():
+    found_set = found(BODY)
+    assert set(found_set.entries) == set(BODY) - {"LTOE", "LTHI"}
+    assert set(found_set.unused) == {"LTOE", "LTHI"}
+    assert "LELB" in found_set.missing and "RTOE" not in found_set.missing
+    assert "8 of 24 markers; missing LFHD" in found_set.sentence()
+
+
+def test_markers_of_hand_and_foot_serve_bodies_with_these_joints():
+    assert "LTOE" in found(BODY, with_joints(Skeleton.human(1.7), "whole.toml")).entries
+    labels = (*BODY, "LFIN")
+    assert "LFIN" not in found(labels).entries
+    assert "LFIN" in found(labels, with_wrists(Skeleton.human(1.7))).entries
+
+
+def test_offsets_grow_with_the_person():
+    small, tall = (found(BODY, Skeleton.human(h)).entries["LASI"]["offset"] for h in (1.7, 2.04))
+    assert np.array(small) == pytest.approx([0.066, 0.128, 0.097], abs=1e-4)
+    assert np.array(tall) == pytest.approx(1.2 * np.array(small), rel=1e-4)
+
+
+def test_a_persons_name_may_precede_the_labels_and_tells_two_people_apart():
+    labels = [f"{person}:{marker}" for person in ("Ann", "Bob") for marker in BODY]
+    assert "Ann:LASI" in found(labels[: len(BODY)]).entries
+    with pytest.raises(InputError, match="several people, Ann, Bob: state one as prefix"):
+        found(labels)
+    assert set(found(labels, prefix="Bob").entries) <= {f"Bob:{marker}" for marker in BODY}
+    with pytest.raises(InputError, match="prefix: found 'Cid', the file has Ann, Bob"):
+        found(labels, prefix="Cid")
+
+
+def test_single_markers_are_placed_otherwise_added_or_skipped(tmp_path):
+    fields = 'set = "plug-in-gait"\nskip = ["CLAV"]\n[markers.on]\n'
+    fields += 'LKNE = { bone = "tibia_l", at = 0.0 }\nLTHI = { bone = "femur_l", at = 0.5 }'
+    places = {place.name: place for place in load_recording(recording(tmp_path, fields)).places}
+    assert places["LKNE"].bone == "tibia_l" and places["LTHI"].at == 0.5
+    assert "CLAV" not in places and "C7" in places
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        ('set = "plugin"', "set: found 'plugin', expected one of helen-hayes, opensim-rajagopal"),
+        ("set = 3", "set: found 3"),
+        ('set = "helen-hayes"', "none of the markers of helen-hayes is in the file, found C7"),
+        ('set = "plug-in-gait"\nskip = ["LASIS"]', "skip: found 'LASIS', expected some of"),
+        ('set = "plug-in-gait"\nskip = "LASI"', "skip: found 'LASI', expected a list of markers"),
+        ('skip = ["LASI"]\n[markers.on]\nC7 = { bone = "head" }', "skip: needs 'set'"),
+        ('set = "plug-in-gait"\non = 3', "[markers.on]: found 3, expected a table"),
+    ],
+)
+def test_what_is_wrong_is_named(fields, problem, tmp_path):
+    with pytest.raises(InputError) as error:
+        load_recording(recording(tmp_path, fields))
+    assert problem in str(error.value)
+
+
+def test_check_shows_what_the_file_has_of_the_set(tmp_path, capsys):
+    path = recording(tmp_path, 'set = "plug-in-gait"')
+    main(["check", str(path), "--json", str(tmp_path / "check.json")])
+    assert "set      plug-in-gait: 8 of 24 markers; missing" in capsys.readouterr().out
+    figures = json.loads((tmp_path / "check.json").read_text())["marker_set"]
+    assert figures["name"] == "plug-in-gait" and "LELB" in figures["missing"]
+
+
+def test_a_recorded_serve_is_tracked_by_three_lines(recordings, tmp_path):
+    serve = (recordings / "motions" / "tennis_serve.c3d").as_posix()
+    text = f'[markers]\nfile = "{serve}"\nset = "plug-in-gait"\n[subject]\nheight = 1.85\n'
+    (tmp_path / "r.toml").write_text(text)
+    whole = load_recording(tmp_path / "r.toml")
+    assert len(whole.places) == 24 and whole.marker_set and not whole.marker_set.missing
+    part = slice(0, 60)
+    serve_part = replace(
+        whole, times=whole.times[part], positions_world=whole.positions_world[part]
+    )
+    report = track(serve_part).report
+    assert report is not None and np.nanmean(report.marker_errors) < 0.06
