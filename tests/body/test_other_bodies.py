@@ -158,6 +158,7 @@ def test_the_gradients_priors_know_joints_of_any_name(name):
     assert deviations.shape == (ROOT_DOF + len(body.tree.joints),) and (deviations > 0).all()
 
 
-def test_every_bone_of_another_body_has_a_mesh_for_viewers():
+def test_a_body_of_more_bones_has_a_mesh_of_these_as_well():
     body = load_skeleton(TAILED)
-    assert set(body_pieces(body)) == set(body.tree.bones)
+    more = set(body.tree.bones) - set(Skeleton.human(1.75).tree.bones)
+    assert more and more <= set(body_pieces(body))
