@@ -241,8 +241,8 @@ def advice_on_board_pose(
         other = T_cam_board @ np.linalg.inv(T_world_board @ half)
         if not _implausibility_warnings(other, upside_down):
             return (
-                "the board is the other way round than --pose says, or upside down: with it turned "
-                f"by 180° about its own {axis} axis the camera would stand at "
+                "the board is the other way round than --pose states, or upside down: with it "
+                f"rotated by 180° about its own {axis} axis the camera would stand at "
                 f"{_position_text(other)}; see the axes in the picture"
             )
     return "see the axes in the picture: --pose does not fit it, or the world's z is not up"

@@ -246,7 +246,7 @@ def _ordered(path: Path, corners: Corners, origin_xy: tuple[float, float] | None
         places = " or ".join(f"--origin {x:.0f},{y:.0f}" for x, y in (o[0] for o in orders))
         raise InputError(
             path,
-            "the board looks the same when it is turned (both counts even, or both odd), so its "
+            "the board looks the same when it is rotated (both counts even, or both odd), so its "
             f"origin is ambiguous: state where in the picture it is, {places}",
         )
     return min(orders, key=lambda order: float(np.linalg.norm(order[0] - origin_xy)))

@@ -79,7 +79,8 @@ def intrinsics_warnings(result: IntrinsicsEstimate, coverage: ImageCoverage) -> 
         warnings.append(
             f"the views determine the principal point poorly: ± {centre[0]:.1f} and "
             f"{centre[1]:.1f} pixels if the lens is as modelled and the board flat, several times "
-            "that where they are not; a shift of it looks like a turn of the camera, so find the "
+            "that where they are not; a shift of it looks like a rotation of the camera, so find "
+            "the "
             "extrinsics with these intrinsics, and show the board near all edges of the image, "
             "turned and tilted"
         )

@@ -39,7 +39,7 @@ def read_photograph(path: str | Path, camera: Camera) -> np.ndarray:
     if image.shape[:2] != (height, width):
         size = f"{image.shape[1]} x {image.shape[0]}"
         raise InputError(
-            path, f"found an image of {size} pixels, the calibration says {width} x {height}"
+            path, f"found an image of {size} pixels, the calibration states {width} x {height}"
         )
     return image
 

@@ -126,7 +126,7 @@ class GradientSettings:
     tolerance: float = static(
         1e-2,
         "at rest where nothing moves by more than this share of its prior's deviation; BFGS, whose "
-        "first steps are short, wants a smaller one",
+        "first steps are short, needs a smaller one",
     )
     goals: PointGoals = group(PointGoals, "of markers and unmarked feet")
     elbows: SearchedElbows = group(SearchedElbows, "of the searched elbows")

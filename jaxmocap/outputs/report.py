@@ -76,8 +76,9 @@ def misfit(motion: Motion) -> str | None:
     if error <= MISFIT_M:
         return None
     return (
-        f"the body is {100 * error:.0f} cm off marker {name!r} in the median, so it was not "
-        "tracked: check [markers.on], up or to_world, the unit, and [subject] (jaxmocap check)"
+        f"the position error of marker {name!r} is {100 * error:.0f} cm in the median, so the "
+        "body was not tracked: check [markers.on], up or to_world, the unit, and [subject] "
+        "(jaxmocap check)"
     )
 
 

@@ -71,7 +71,7 @@ class RetargetedMotion(NamedTuple):
         lines = [
             f"legs           {_centimetres(figures['legs_before_m'])} before, "
             f"{_centimetres(figures['legs_after_m'])} now",
-            f"on the ground  feet are {height} off their height and slide {slide} a second more",
+            f"on the ground  error of the feet's height {height}; they slide {slide} a second more",
         ]
         return "\n".join([*lines, *(f"written        {path}" for path in files)])
 

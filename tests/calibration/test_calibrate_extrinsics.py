@@ -172,7 +172,7 @@ def test_a_board_told_print_down_puts_the_camera_below_the_floor(folder, capsys)
     flipped = ["--pose", numbers((*POSE[:3], 180.0, 0.0, 90.0))]
     assert run(folder, *CHESS, *flipped) == 2
     assert (
-        "turned by 180° about its own x axis the camera would stand at (0.90, -0.50, 0.80) m"
+        "rotated by 180° about its own x axis the camera would stand at (0.90, -0.50, 0.80) m"
         in capsys.readouterr().err
     )
     assert run(folder, *CHESS, *flipped, "--upside-down") == 0
@@ -198,7 +198,7 @@ def test_a_camera_that_comes_out_upside_down_is_refused_and_nothing_is_written(w
     printed = capsys.readouterr()
     assert "wall.png: the camera comes out upside down" in printed.err and not printed.out
     assert (
-        "turned by 180° about its own z axis the camera would stand at (0.30, 0.10, 1.60)"
+        "rotated by 180° about its own z axis the camera would stand at (0.30, 0.10, 1.60)"
         in printed.err
     )
     assert "--upside-down" in printed.err and printed.err.count("\n") == 1
@@ -295,7 +295,7 @@ def test_a_board_that_looks_the_same_turned_needs_to_be_told_its_origin(folder, 
     message = capsys.readouterr().err
     origin = pixels_of([POSE[:3]])[0]
     here = f"--origin {origin[0]:.0f},{origin[1]:.0f}"
-    assert "looks the same when it is turned" in message and here in message
+    assert "looks the same when it is rotated" in message and here in message
     assert run(folder, *given, *here.split()) == 0
     camera = read_calibration(folder / "c.toml")["cam"]
     np.testing.assert_allclose(camera.position_world, [0.9, -0.5, 0.8], atol=0.004)

@@ -282,7 +282,7 @@ def test_a_stated_rate_that_its_time_stamps_contradict_is_a_warning(tmp_path, so
     spoilt = replace(sound, stated_rate=read_markers(path).rate)
     (finding,) = check_recording(spoilt, VIDEO_TIMES)
     assert not finding.fatal
-    assert "states 60 samples per second (DataRate), its time stamps say 30" in finding.sentence
+    assert "states 60 samples per second (DataRate), its time stamps state 30" in finding.sentence
     write_trc(path, sound.times, points)
     assert names(replace(sound, stated_rate=read_markers(path).rate)) == []
 

@@ -163,7 +163,7 @@ def test_units_of_bvh_files_are_told_by_the_bodys_size_or_asked_for(folder, tmp_
     armature = read_bvh(folder / "motion.bvh")
     write_bvh(tmp_path / "a.bvh", armature, unit)
     if unit == "in":
-        with pytest.raises(InputError, match="say the unit"):
+        with pytest.raises(InputError, match="state the unit"):
             read_bvh(tmp_path / "a.bvh")
     back = read_bvh(tmp_path / "a.bvh", unit if unit == "in" else None)
     np.testing.assert_allclose(back.positions, armature.positions, atol=2e-6)
@@ -206,7 +206,7 @@ def read_bvh_of(motion, folder) -> np.ndarray:
         ("CHANNELS 1 Zrotation", "CHANNELS 2 Zrotation", "expected 2 different channels"),
         ("JOINT Leg", "JOINT Arm", "joint 'Arm' is named twice"),
         ("JOINT Leg", "LEG", "line 20: found 'LEG', expected JOINT"),
-        ("Frames: 2", "Frames: 3", "says 3 frames, but the file ends after 2"),
+        ("Frames: 2", "Frames: 3", "states 3 frames, but the file ends after 2"),
         ("Frame Time: 0.04", "Frame Time: 0", "expected seconds per frame"),
         ("Frame Time: 0.04", "Time: 0.04", "line 32: found 'Time: 0.04', expected 'Frame Time:'"),
         ("-80 50 60", "-80 50", "line 34: found 14 columns, expected 15"),

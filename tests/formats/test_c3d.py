@@ -121,7 +121,7 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path):
     assert "'A' is named twice" in complaint(foreign(path, np.ones((4, 2, 1)), labels=["A", "A"]))
     intact = foreign(path, np.ones((4, 3, 400))).read_bytes()
     path.write_bytes(intact[: len(intact) // 2])
-    assert "the header says 400 frames, the file ends after" in complaint(path)
+    assert "the header states 400 frames, the file ends after" in complaint(path)
 
 
 def test_a_damaged_file_does_not_end_the_process(tmp_path):

@@ -465,7 +465,7 @@ def off_by(motion: Motion, metres: float, share: float) -> Motion:
 
 def test_a_body_far_off_its_markers_is_reported(tracked):
     lost = off_by(tracked.motion, 1.59, 0.8)
-    sentence = "the body is 159 cm off marker 'Head' in the median, so it was not tracked: check"
+    sentence = "the position error of marker 'Head' is 159 cm in the median, so the body was not"
     assert f"warning  {sentence}" in summary(lost)
     assert misfit(lost) == figures(lost)["misfit"] and misfit(lost).startswith(sentence)
 

@@ -17,7 +17,7 @@ def offsets_text(offsets: Sequence[DeviceOffset]) -> str:
         values = ", ".join(f"{a:.1f} ± {b:.1f}" for a, b in zip(mm, std, strict=True))
         lines.append(
             f"{offset.place.name}: {values} mm from the joint of {offset.place.bone}, which "
-            f"strayed by {1e3 * offset.joint_rms:.1f} mm a second while it rotated by "
+            f"moved by {1e3 * offset.joint_rms:.1f} mm a second while it rotated by "
             f"{offset.rotation_rms:.0f}°"
         )
         if offset.orientation is not None:
@@ -25,7 +25,7 @@ def offsets_text(offsets: Sequence[DeviceOffset]) -> str:
                 f"  orientation within {offset.orientation_rms:.1f}° while standing (how "
                 "straight the person stood is not in that)"
             )
-        lines += [f"  doubtful: {warning}" for warning in offset.warnings]
+        lines += [f"  warning: {warning}" for warning in offset.warnings]
     lines += ["", "[markers.on]", *(toml_line(offset) for offset in offsets if not offset.warnings)]
     return "\n".join(lines)
 

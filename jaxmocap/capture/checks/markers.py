@@ -191,7 +191,7 @@ def _check_times(recording: Recording) -> Iterator[Finding]:
         yield Finding(
             "rate",
             f"[markers] file: its header states {stated:.4g} samples per second (DataRate), its "
-            f"time stamps say {rate:.4g} and are what counts; change the one that is wrong",
+            f"time stamps state {rate:.4g} and are what counts; change the one that is wrong",
         )
 
 

@@ -12,9 +12,9 @@ from jaxmocap.cli.option_types import numbers
 from jaxmocap.cli.reporting import report
 
 POSE_TEXT = """\
---pose X,Y,Z,RX,RY,RZ is the board's place in the world: its origin in metres, then its turns in
+--pose X,Y,Z,RX,RY,RZ is the board's place in the world: its origin in metres, then its rotations in
 degrees about the world's fixed axes, about x first, then y, then z (extrinsic xyz; R = Rz Ry Rx).
-A board that lies on the floor, print up, its axes along the world's, has turns of 0,0,0; one that
+A board that lies on the floor, print up, its axes along the world's, has 0,0,0; one that
 stands upright with y up and its print towards the world's -y has 90,0,0. --points instead is a
 file of columns x,y,z,u,v (or name,x,y,z,u,v): metres in the world, pixels in the picture; at least
 four on a plane, better six or more that are not."""
@@ -31,7 +31,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "--origin",
         metavar="U,V",
         type=numbers(2),
-        help="pixel near the board's origin, for boards that look the same when turned",
+        help="pixel near the board's origin, for boards that look the same when rotated",
     )
     parser.add_argument(
         "--up", choices=("y", "z"), default="z", help="vertical axis of what was measured"

@@ -38,8 +38,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--unit",
         choices=("m", "cm", "mm", "in"),
-        help="of the .bvh (the one written, if both are), which does not say; default: metres when "
-        "written, inferred from the body's size when read; of a calibration that does not say",
+        help="of the .bvh (the one written, if both are), which states none; default: metres when "
+        "written, inferred from the body's size when read; of a calibration that states none",
     )
     parser.add_argument(
         "--rate",
@@ -92,7 +92,7 @@ def _run(options: argparse.Namespace) -> None:
 
 COMMAND = Command(
     name="convert",
-    purpose="make a file into another that carries the same",
+    purpose="convert a file to another format",
     run=_run,
     add_options=_add_options,
     example="jaxmocap convert tracked/motion.npz motion.bvh --unit cm",

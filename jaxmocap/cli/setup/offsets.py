@@ -15,7 +15,7 @@ For every marker with an orientation: its offset from its bone's joint, in its o
 
 Rest the forearms on a table and turn the hands about the wrists for ten seconds or more: up and
 down, to the sides, and twisting; nod, turn and tilt the head. Prints lines for [markers.on] (those
-of a doubtful result are left out) and their standard deviations."""
+with a warning are left out) and their standard deviations."""
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

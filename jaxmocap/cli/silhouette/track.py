@@ -23,7 +23,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         metavar="X,Y,FACING",
         type=place_and_facing,
         help="where the person stands upright at first, metres, and faces, degrees from x towards "
-        "y; default: as the recording's markers say",
+        "y; default: from the recording's markers",
     )
     _add_passes(parser)
     parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")

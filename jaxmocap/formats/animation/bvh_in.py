@@ -129,7 +129,7 @@ def _inferred_unit(path: str | Path, parents: list[int], offsets: np.ndarray) ->
         raise InputError(
             path,
             f"the longest way from root to tip is {distances.max():.4g}, an adult's in none of "
-            f"{', '.join(_INFERRED_UNITS)}: say the unit (--unit {', '.join(UNITS)})",
+            f"{', '.join(_INFERRED_UNITS)}: state the unit (--unit {', '.join(UNITS)})",
         )
     return fitting[0]
 
@@ -226,7 +226,7 @@ def _frames(
     if np.isnan(values).any():
         raise InputError(path, "a channel's value is not a number")
     if len(values) < frames:
-        problem = f"says {frames:g} frames, but the file ends after {len(values)}"
+        problem = f"states {frames:g} frames, but the file ends after {len(values)}"
         raise InputError(path, f"line {line}: {problem}")
     return step, values
 

@@ -95,7 +95,7 @@ def read_c3d(path: str | Path) -> Markers:
         raise InputError(path, "found no points")
     count = file.residuals.shape[1]
     if count < declared:
-        raise InputError(path, f"the header says {declared} frames, the file ends after {count}")
+        raise InputError(path, f"the header states {declared} frames, the file ends after {count}")
     scale = _scale(path, file.unit)
     if not 0 < file.rate <= _MAX_RATE_HZ:
         problem = f"found {file.rate:g}, expected frames per second, up to {_MAX_RATE_HZ:g}"
@@ -157,7 +157,7 @@ def unconverted_content(path: str | Path) -> list[str]:
 
 
 def _declared_frames(path: str | Path) -> int:
-    """How many frames the header says there are; ezc3d gives only those that it found."""
+    """How many frames the header states there are; ezc3d gives only those that it found."""
     with open_regular(path) as file:
         header = file.read(_HEADER_BYTES)
     try:

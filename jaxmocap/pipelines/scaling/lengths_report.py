@@ -27,7 +27,7 @@ RULE = (
     "Of one side each, breadths from the middle; ± is one standard deviation.",
     f"Determined: ± is at most {DETERMINED_SHARE:.0%} of what it was before; partly: at most "
     f"{PARTLY_SHARE:.0%};",
-    "otherwise the length is hardly more than the guess that it was.",
+    "otherwise the recording adds little to the length as stated.",
 )
 
 

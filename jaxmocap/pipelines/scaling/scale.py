@@ -52,7 +52,9 @@ def write_body(out: str | Path, source: BodySource, progress: Progress | bool | 
             source.wrists,
         )
     if source.landmarks or source.up or source.wrists:
-        problem = "--landmarks, --up and --wrists do not go with --recording, whose file says them"
+        problem = (
+            "--landmarks, --up and --wrists do not go with --recording, whose file states them"
+        )
         raise InputError(source.recording, problem)
     # A recording takes what tracks, which height and static trial do without.
     from jaxmocap.pipelines.kept_programs import keep_compiled

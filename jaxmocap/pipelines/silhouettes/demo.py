@@ -95,7 +95,7 @@ class SilhouetteDemo:
         )
         rate = f"{self.frames_per_second:.1f} frames of all cameras a second, compilation included"
         with_model = "without -> with the person's own model\n\n" if bent else ""
-        return f"{with_model}{table}\n\nbent, degrees off: {bends}\n{rate}"
+        return f"{with_model}{table}\n\nbend errors, degrees: {bends}\n{rate}"
 
     def as_dict(self) -> dict:
         """What JSON takes."""
