@@ -1,5 +1,6 @@
 """How a live run ends: whole, soon, and with every thread and process that it began."""
 
+import json
 import os
 import re
 import signal
@@ -23,6 +24,7 @@ import jaxmocap.pipelines.live.loop
 from jaxmocap import Recording
 from jaxmocap.capture.streams import cameras
 from jaxmocap.capture.video import open_video
+from jaxmocap.cli import main
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.files.errors import InputError, OutputError
 from jaxmocap.outputs.senders.osc import Bundle
@@ -390,3 +392,14 @@ def _left_by_a_kill(path: Path, out: Path) -> str:
     for video in recording.videos:
         assert all(image is not None for _, image in open_video(video).frames())
     return "a recording"
+
+
+def test_the_command_that_received_nothing_says_so_last_and_ends_with_1(tmp_path, capsys):
+    path = tmp_path / "live.toml"
+    live_setup(tmp_path)
+    text = path.read_text().partition("[[video]]")[0]
+    path.write_text(f"{text}\n[osc]\nlisten = {free_port()}\n")
+    assert main(["live", str(path), "--seconds", "0.3", "--json", "-"]) == 1
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["problems"] and "nan" not in printed.err
+    assert printed.err.splitlines()[-1].startswith("jaxmocap live: no marker came in at 127.0.0.1:")
