@@ -71,7 +71,7 @@ def cluster_client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         import dask.config as dask_config
         from distributed import Client, LocalCluster
     except ImportError:
-        problem = "is missing: pip install 'jaxmocap[cluster]'"
+        problem = "found no such package: pip install 'jaxmocap[cluster]'"
         raise InputError("dask.distributed", problem) from None
     with ExitStack() as stack:
         if scheduler is None:
