@@ -20,7 +20,9 @@ BODY = ("C7", "CLAV", "LASI", "RASI", "LKNE", "RKNE", "LWRA", "RWRA", "LTOE", "L
 
 def found(labels, skeleton=None, **fields):
     table = TomlTable("r.toml", "[markers]", {"set": "plug-in-gait", **fields})  # type: ignore
-    return read_set(table, labels, skeleton or Skeleton.human(1.7))
+    marker_set = read_set(table, labels, skeleton or Skeleton.human(1.7))
+    assert marker_set is not None
+    return marker_set
 
 
 def recording(folder, fields: str, labels=BODY):
