@@ -128,6 +128,8 @@ def test_the_example_of_silhouette_track_runs(tmp_path):
     for path in (tmp_path / "demo" / "recording").iterdir():
         path.rename(tmp_path / path.name)
     run("silhouette track", tmp_path)
+    report = json.loads((tmp_path / "tracked" / "report.json").read_text())
+    assert report["warnings"] == [] and "left out" not in report
 
 
 @pytest.mark.slow
