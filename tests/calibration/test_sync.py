@@ -251,9 +251,9 @@ def test_the_command_prints_the_line_to_put_into_the_file(tmp_path, capsys, monk
     file = tmp_path / "sync.json"
     assert main(["sync", "r.toml", "--search", "0.2", "--json", str(file)]) == 0
     (figures,) = json.loads(file.read_text())["videos"]
-    assert f"webcam: offset = {figures['offset']:.4f}  (± {figures['std']:.4f} s" in (
+    assert f"webcam: offset = {figures['offset_s']:.4f}  (± {figures['std_s']:.4f} s" in (
         capsys.readouterr().out
     )
-    assert abs(figures["offset"] - 0.137) < FIVE_MS and figures["drift"] is None
+    assert abs(figures["offset_s"] - 0.137) < FIVE_MS and figures["drift_s_per_s"] is None
     assert main(["sync", "r.toml", "--cameras", "other"]) == 2
     assert "no [[video]] of camera 'other'" in capsys.readouterr().err

@@ -69,4 +69,22 @@ def test_the_command_tracks_both_ways_and_says_what_it_took(monkeypatch, capsys)
     assert [each["mode"] for each in json.loads(printed.out)["modes"]] == list(
         warmup.MODE_NAMES.values()
     )
-    assert "live: 0.0 s, 0 programs compiled" in printed.err and "kept in" in printed.err
+    assert "track: 0.0 s, 0 programs compiled" in printed.err and "kept in" in printed.err
+
+
+def test_a_live_file_is_compiled_for_live_with_and_without_smoothing(tmp_path, monkeypatch, capsys):
+    asked = []
+
+    class Compiles:
+        def __init__(self, setup, settings, smooth):
+            asked.append((setup.marker_names, settings.refine, smooth))
+
+        def wait_until_ready(self):
+            pass
+
+    monkeypatch.setattr(warmup, "LiveTracking", Compiles)
+    path = tmp_path / "live.toml"
+    path.write_text("[markers.on]\nHmd = { bone = 'head' }\n")
+    assert main(["warmup", str(path), "--refine", "none"]) == 0
+    assert asked == [(("Hmd",), "none", False), (("Hmd",), "none", True)]
+    assert "live --smooth: 0.0 s, 0 programs compiled" in capsys.readouterr().out
