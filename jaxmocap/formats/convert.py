@@ -293,7 +293,7 @@ def _write_motion(conversion: _Conversion, motion: Motion) -> None:
         conversion.warnings += write_opensim(conversion.target, motion)
     else:
         isb = conversion.options.angles == "isb"
-        (write_isb if isb else write_mot)(conversion.target, motion)
+        conversion.warnings += (write_isb if isb else write_mot)(conversion.target, motion)
         if isb:
             conversion.warnings.append(
                 "left out: where the pelvis is, and what ISB's angles leave open"

@@ -1,74 +1,177 @@
-"""Euler angles over time that do not jump.
+"""Euler angles over time: continuous, and near where a joint can be.
 
-INPUTS: rotations over time (NumPy, on the host). OUTPUTS: three angles each, of all that make the
-same turn those nearest to the sample before.
+INPUTS: rotations over time (NumPy, on the host), and a range of each angle.
+OUTPUTS: three angles each: of all paths through the triples that make the rotations, the cheapest.
 """
 
 import warnings
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 # Outer axes nearer to each other than this, radians, turn as one.
 LOCK = 1e-6
+# The range of an angle that may gather whole turns.
+FREE = (-np.inf, np.inf)
+# What a second costs, of an angle outside of its range by a radian, and of one a radian from the
+# middle of its range. A step costs its square, at most that of two angles by half a turn. So an arm
+# that reaches beyond its range for a moment does not jump, and a path that has drifted is left.
+_OUTSIDE_COST = 4.0
+_MIDDLE_COST = 0.01
+_DEAREST_STEP = 2 * np.pi**2
+# Of two paths alike the one that begins as is customary.
+_UNUSUAL_COST = 1e-6
 
 
-def continuous_euler(R: np.ndarray, order: str) -> np.ndarray:
+class _Places(NamedTuple):
+    """Where the angles of J joints belong.
+
+    Attributes:
+        middle: (J, 1, 3) of their ranges, radians; 0 where there is none.
+        half: (J, 1, 3) half of their ranges; infinite where there is none.
+        is_free: (J, 1, 3) whether there is none.
+        turns: (K, 3) whole turns that are tried.
+    """
+
+    middle: np.ndarray
+    half: np.ndarray
+    is_free: np.ndarray
+    turns: np.ndarray
+
+    @classmethod
+    def of(cls, ranges: np.ndarray) -> "_Places":
+        """By (J, 3, 2) radians."""
+        ranges = ranges[:, None]
+        is_free = np.isinf(ranges).any(-1)
+        middle = np.where(is_free[..., None], 0.0, ranges).mean(-1)
+        half = np.where(is_free, np.inf, np.ptp(np.where(is_free[..., None], 0.0, ranges), -1) / 2)
+        tried = [(0.0,) if free else (0.0, 2 * np.pi) for free in is_free.all((0, 1))]
+        return cls(middle, half, is_free, np.array(list(product(*tried))))
+
+    def triples(self, ways: np.ndarray) -> np.ndarray:
+        """Both ways (J, 2, 3) less than a turn from the middles: triples (J, 2 K, 3)."""
+        near = self.middle + wrapped(ways - self.middle)
+        back = np.where(self.is_free, 0.0, np.where(near > self.middle, -1.0, 1.0))
+        return (near[:, :, None] + back[:, :, None] * self.turns).reshape(len(ways), -1, 3)
+
+    def costs(self, triples: np.ndarray) -> np.ndarray:
+        """(J, N) of each second."""
+        away = np.where(self.is_free, 0.0, np.abs(triples - self.middle))
+        outside = np.maximum(away - self.half, 0.0)
+        return (_OUTSIDE_COST * outside**2 + _MIDDLE_COST * away**2).sum(-1)
+
+    def steps(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """Costs (J, N, N) of steps between triples (J, N, 3)."""
+        step = after[:, None] - before[:, :, None]
+        if self.is_free.any():
+            step = np.where(self.is_free[:, None], wrapped(step), step)
+        return np.minimum((step * step).sum(-1), _DEAREST_STEP)
+
+
+def continuous_euler(
+    R: np.ndarray,
+    order: str,
+    ranges: np.ndarray | None = None,
+    times: np.ndarray | None = None,
+) -> np.ndarray:
     """Angles (T, J, 3), radians, of (T, J, 3, 3) rotations; NaN where those are.
 
-    Every turn has two triples of angles, and each angle any number of whole turns; of these the
-    nearest to the last measured sample is taken. At the first one they are between -pi and pi, the
-    second angle between -pi/2 and pi/2, or, where the outer axes are the same, between -pi and 0.
+    Every rotation has two triples of angles, and each angle any number of whole turns. Dynamic
+    programming finds the path through them that costs least: the squares of its steps, and its
+    distances from the ranges, and a little from their middles, over time. An angle with a range is
+    always less than a turn from its middle; one without gathers whole turns.
+
     Where the outer axes fall together (gimbal lock) only the sum or the difference of the outer
-    angles is determined: the first one stays as it was, or as it will be where it has not been yet.
+    angles is determined: there the first one goes evenly from what it was to what it will be.
 
     Args:
         R: rotations.
         order: intrinsic, capitals, of three different axes (``ZXY``) or with the outer ones the
             same (``YXY``).
+        ranges: (J, 3, 2) least and largest angle, radians, or ``FREE``; None is free for all.
+        times: (T,) seconds; None is one a second.
     """
-    same = order[0] == order[2]
-    ways = np.stack(_ways(R, order, same))
-    middle = ways[0, ..., 1]
-    apart = np.sin(middle) if same else np.cos(middle)
-    locked = np.asarray(np.abs(apart) < LOCK)
-    is_measured = np.asarray(np.isfinite(middle))
-    angles, before = np.empty(ways.shape[1:]), _start(ways[0], is_measured & ~locked)
-    for i in range(len(angles)):
-        near = before + _wrapped(ways[:, i] - before)
-        far = np.abs(near - before).sum(-1)
-        angles[i] = np.where((far[1] < far[0] - 1e-9)[:, None], near[1], near[0])
-        for j in np.flatnonzero(locked[i]):
-            angles[i, j] = _in_lock(R[i, j], order, angles[i, j, 1], before[j])
-        before = np.where(is_measured[i][:, None], angles[i], before)
+    ways = _ways(R, order)
+    if ranges is None:
+        ranges = np.broadcast_to(FREE, (R.shape[1], 3, 2))
+    places = _Places.of(np.asarray(ranges, float))
+    interval = 1.0 if times is None or len(times) < 2 else float(np.median(np.diff(times)))
+    angles = _cheapest(ways, places, interval)
+    for joint, angle in zip(*np.nonzero(places.is_free[:, 0]), strict=True):
+        measured = np.isfinite(angles[:, joint, angle])
+        angles[measured, joint, angle] = np.unwrap(angles[measured, joint, angle])
     return angles
 
 
-def _ways(R: np.ndarray, order: str, same: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Both triples (T, J, 3) of every turn, the customary one first; NaN where it is unknown."""
+def _cheapest(ways: np.ndarray, places: _Places, interval: float) -> np.ndarray:
+    """The path (T, J, 3) through both ways (T, J, 2, 3); NaN where they are."""
+    is_measured = np.isfinite(ways[..., 0, 0])
+    before = places.triples(np.zeros(ways.shape[1:]))
+    has_begun = np.zeros(len(before), bool)
+    total = np.zeros(before.shape[:2])
+    total[:, before.shape[1] // 2 :] = _UNUSUAL_COST
+    origins = np.empty((len(ways), *total.shape), np.int8)
+    stay = np.arange(total.shape[1], dtype=np.int8)
+    for i, measured in enumerate(is_measured):
+        if not measured.any():
+            origins[i] = stay
+            continue
+        now = places.triples(np.where(measured[:, None, None], ways[i], 0.0))
+        every = total[:, :, None] + places.steps(before, now)
+        goes_on = measured & has_begun
+        origin = np.where(goes_on[:, None], every.argmin(1), stay)
+        reached = np.where(goes_on[:, None], every.min(1), total) + interval * places.costs(now)
+        origins[i] = origin
+        total = np.where(measured[:, None], reached, total)
+        before = np.where(measured[:, None, None], now, before)
+        has_begun |= measured
+    return _traced(ways, places, total.argmin(1), origins)
+
+
+def _traced(ways: np.ndarray, places: _Places, last: np.ndarray, origins: np.ndarray) -> np.ndarray:
+    """The path (T, J, 3) that ends at the triples (J,), by where each came from (T, J, N)."""
+    angles = np.empty((*ways.shape[:2], 3))
+    joints = np.arange(len(last))
+    for i in range(len(ways) - 1, -1, -1):
+        angles[i] = places.triples(ways[i])[joints, last]
+        last = origins[i, joints, last]
+    return angles
+
+
+def _ways(R: np.ndarray, order: str) -> np.ndarray:
+    """Both triples (T, J, 2, 3) of every rotation, the customary one first; NaN where unknown."""
+    same = order[0] == order[2]
     is_finite = np.isfinite(R.sum((-2, -1)))
     safe = np.where(is_finite[..., None, None], R, np.eye(3)).reshape(-1, 3, 3)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Gimbal lock")
         angles = Rotation.from_matrix(safe).as_euler(order).reshape(*is_finite.shape, 3)
-    angles = np.where(is_finite[..., None], angles, np.nan)
-    other = _wrapped(angles * [1, -1, 1] + (np.pi, 0.0 if same else np.pi, np.pi))
-    return (other, angles) if same else (angles, other)
+    apart = np.sin(angles[..., 1]) if same else np.cos(angles[..., 1])
+    is_locked = is_finite & (np.abs(apart) < LOCK)
+    for joint in np.flatnonzero(is_locked.any(0)):
+        locked, clear = is_locked[:, joint], is_finite[:, joint] & ~is_locked[:, joint]
+        angles[locked, joint] = _in_lock(R[locked, joint], order, angles[:, joint], locked, clear)
+    other = wrapped(angles * [1, -1, 1] + (np.pi, 0.0 if same else np.pi, np.pi))
+    ways = np.stack((other, angles) if same else (angles, other), 2)
+    return np.where(is_finite[..., None, None], ways, np.nan)
 
 
-def _start(angles: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Each joint's angles (J, 3) at its first usable sample; 0 where there is none."""
-    start = angles[usable.argmax(0), np.arange(angles.shape[1])]
-    return np.where(np.any(usable, 0, keepdims=True).T, start, 0.0)
+def _in_lock(
+    R: np.ndarray, order: str, angles: np.ndarray, locked: np.ndarray, clear: np.ndarray
+) -> np.ndarray:
+    """Angles (L, 3) of the locked rotations (L, 3, 3) among a joint's (T, 3).
+
+    The first goes evenly between those that are clear, by half turns: either way is then even.
+    """
+    samples, firsts = np.flatnonzero(clear), np.unwrap(2 * angles[clear, 0]) / 2
+    among = np.interp(np.flatnonzero(locked), samples, firsts) if len(samples) else 0.0
+    outer = np.stack([np.broadcast_to(among, len(R)), angles[locked, 1]], -1)
+    rest = Rotation.from_euler(order[:2], outer).inv() * Rotation.from_matrix(R)
+    return np.column_stack([outer, rest.as_rotvec()[:, "XYZ".index(order[2])]])
 
 
-def _in_lock(R: np.ndarray, order: str, second: float, before: np.ndarray) -> np.ndarray:
-    """Angles (3,) that make a turn whose first angle is as before."""
-    rest = Rotation.from_euler(order[:2], [before[0], second]).inv() * Rotation.from_matrix(R)
-    third = rest.as_rotvec()["XYZ".index(order[2])]
-    return np.array([before[0], second, before[2] + _wrapped(third - before[2])])
-
-
-def _wrapped(angles: np.ndarray) -> np.ndarray:
+def wrapped(angles: np.ndarray) -> np.ndarray:
     """Angles by whole turns between -pi and pi."""
     return angles - 2 * np.pi * np.round(angles / (2 * np.pi))

@@ -190,7 +190,8 @@ def write_motion(
         folder: that is there.
         surface: motion.glb's skin.
         picture: its colours.
-        warn: called with a sentence for each file that cannot hold the motion and is left out.
+        warn: called with a sentence for each file that cannot hold the motion and is left out, or
+            whose angles step.
         formats: how the files are written.
 
     Returns:
@@ -200,8 +201,7 @@ def write_motion(
     R_file_world = R_WORLD_OF_UP[formats.up].T
     joints = {name: to_world(R_file_world, points) for name, points in motion.joints().items()}
     write_trc(files[0], motion.times, joints)
-    write_mot(files[1], motion)
-    write_isb(files[2], motion)
+    sentences = {files[1]: write_mot(files[1], motion), files[2]: write_isb(files[2], motion)}
     save_motion(files[3], motion)
     for path in files[4:]:
         if (sentence := write_animation(path, motion, surface, picture)) is not None:
@@ -209,8 +209,10 @@ def write_motion(
             files.remove(path)
     if formats.names == OPENSIM:
         files.append(folder / OPENSIM_FILE)
-        for sentence in write_opensim(files[-1], motion):
-            warn(f"{OPENSIM_FILE}: {sentence}")
+        sentences[files[-1]] = write_opensim(files[-1], motion)
+    for path, of_file in sentences.items():
+        for sentence in of_file:
+            warn(f"{path.name}: {sentence}")
     return files
 
 

@@ -222,6 +222,29 @@ def test_the_file_has_every_coordinate_and_no_missing_value(tmp_path):
         write_opensim(tmp_path / "b.mot", nothing)
 
 
+def test_angles_begin_near_0_with_hanging_arms_and_a_step_is_a_warning(tmp_path):
+    """Arms that hang, then circle overhead, then one elbow that is bent within a sample."""
+    skeleton = Skeleton.human(1.75)
+    angles = np.zeros((400, len(skeleton.tree.joints)))
+    angles[100:, skeleton.tree.joint("arm_flex_r")] = np.radians(np.linspace(0, 170, 300))
+    angles[100:, skeleton.tree.joint("arm_abduct_r")] = np.sin(np.linspace(0, 30, 300))
+    parts: list[Any] = [np.zeros((400, 3)), np.tile([1.0, 0, 0, 0], (400, 1)), angles]
+    motion = Motion(skeleton, np.arange(400) / 50, Pose(*parts))
+    warnings: list[str] = []
+    write_motion(motion, tmp_path, warn=warnings.append, formats=MotionFormats(names="opensim"))
+    assert not [each for each in warnings if "steps" in each]
+    columns = read_mot(tmp_path / "angles_opensim.mot")[1]
+    assert all(abs(np.degrees(columns[f"arm_{name}_r"][0])) < 15 for name in ("flex", "add", "rot"))
+    angles[380:, skeleton.tree.joint("elbow_flex_l")] = np.radians(90)
+    write_motion(motion, tmp_path, warn=warnings.append, formats=MotionFormats(names="opensim"))
+    for file, joint in (("angles", "elbow_flex_l"), ("angles_isb", "elbow_flexion_l"),
+                        ("angles_opensim", "elbow_flex_l")):  # fmt: skip
+        expected = (
+            f"{file}.mot: {joint} steps by 90° from 7.58 to 7.60 s, the largest of 1 above 60°"
+        )
+        assert expected in warnings
+
+
 def test_convert_writes_it_and_says_what_it_cannot_be_read_for(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     save_motion("motion.npz", moving_body())

@@ -38,7 +38,7 @@ from jaxmocap.formats.time_series.isb import (
     made_by_hinges,
 )
 from jaxmocap.formats.time_series.mot import write_table
-from jaxmocap.geometry.euler import continuous_euler
+from jaxmocap.geometry.euler import FREE, continuous_euler, wrapped
 
 # The name of this convention among those of joints.
 OPENSIM = "opensim"
@@ -50,6 +50,13 @@ _KNEE = ("knee_angle_{}", "knee_angle_{}_beta")
 _FOOT = ("ankle_angle_{}", "subtalar_angle_{}", "mtp_angle_{}")
 _SHOULDER = ("arm_flex_{}", "arm_add_{}", "arm_rot_{}")
 _FOREARM = ("elbow_flex_{}", "pro_sup_{}", "wrist_flex_{}", "wrist_dev_{}")
+# As the model's file has them, degrees, but for the pelvis, which faces anywhere and may roll over.
+_RANGES = {
+    _ROOT[:3]: (FREE, (-90, 90), FREE),
+    _LUMBAR: ((-90, 90), (-90, 90), (-90, 90)),
+    _HIP: ((-30, 120), (-50, 30), (-40, 40)),
+    _SHOULDER: ((-90, 90), (-120, 90), (-90, 90)),
+}
 # In the order of the model's file.
 COORDINATES = (
     *_ROOT,
@@ -65,7 +72,7 @@ def write_opensim(path: str | Path, motion: Motion) -> list[str]:
     """Write the coordinates of a motion, degrees and metres.
 
     Returns:
-        Sentences on what was left out.
+        Sentences on what was left out, and ``write_table``'s.
 
     Raises:
         InputError: no sample has a pose.
@@ -78,11 +85,11 @@ def write_opensim(path: str | Path, motion: Motion) -> list[str]:
         name: values if name in _ROOT[3:] else np.degrees(values)
         for name, values in columns.items()
     }
-    write_table(Path(path), motion.times[is_measured], degrees)
+    steps = write_table(Path(path), motion.times[is_measured], degrees)
     sentences = ["left out: neck and clavicles, which OpenSim's model does not have"]
     if missing := int((~is_measured).sum()):
         sentences.append(f"left out: {missing} samples without a pose, which OpenSim cannot read")
-    return sentences
+    return sentences + steps
 
 
 def _samples(motion: Motion, chosen: np.ndarray) -> Motion:
@@ -109,13 +116,15 @@ def opensim_coordinates(motion: Motion) -> dict[str, np.ndarray]:
         for side in "rl"
         for part in ("leg", "arm")
     }
-    turns = [R_file_pelvis, R_thorax, *(R_near for R_near, _ in limbs.values())]
+    turns = np.stack([R_file_pelvis, R_thorax, *(R_near for R_near, _ in limbs.values())], 1)
     names = [_ROOT[:3], _LUMBAR, *({"leg": _HIP, "arm": _SHOULDER}[part] for part, _ in limbs)]
     sides = ["", "", *(side for _, side in limbs)]
+    ranges = np.radians([_RANGES[triple] for triple in names])
+    angles = continuous_euler(turns, "ZXY", ranges, motion.times)
     columns = {
-        name.format(side): angles
-        for triple, side, three in zip(names, sides, _near_zero(turns), strict=True)
-        for name, angles in zip(triple, three.T, strict=True)
+        name.format(side): column
+        for triple, side, three in zip(names, sides, np.moveaxis(angles, 1, 0), strict=True)
+        for name, column in zip(triple, three.T, strict=True)
     }
     columns |= dict(zip(_ROOT[3:], _pelvis_places(motion, R_file_pelvis).T, strict=True))
     hands = isb_angles(motion)
@@ -183,17 +192,6 @@ def _frames(along: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return np.stack([along, second, np.cross(along, second)], -1)
 
 
-def _near_zero(turns: list[np.ndarray]) -> list[np.ndarray]:
-    """Angles (T, 3) about z, x and y of each of (T, 3, 3) turns: of both ways the smaller."""
-    chosen = []
-    for angles in np.moveaxis(continuous_euler(np.stack(turns, 1), "ZXY"), 1, 0):
-        other = angles * [1, -1, 1] + np.pi
-        other = other - 2 * np.pi * np.round(np.median(other, 0) / (2 * np.pi))
-        sizes = [np.abs(each).sum(-1).mean() for each in (angles, other)]
-        chosen.append(angles if sizes[0] <= sizes[1] else other)
-    return chosen
-
-
 def _pelvis_places(motion: Motion, R_file_pelvis: np.ndarray) -> np.ndarray:
     """Origins (T, 3) of the model's pelvis, the file's axes, metres."""
     skeleton = motion.skeleton
@@ -226,7 +224,8 @@ def _pronation(
     thumb = R_radius[..., 0]
     sine = (axis * np.cross(supine, thumb)).sum(-1)
     cosine = (supine * thumb).sum(-1) - (axis * supine).sum(-1) * (axis * thumb).sum(-1)
-    return np.unwrap(np.arctan2(sine, cosine))
+    away = np.arctan2(sine, cosine) - rajagopal.THUMB_FORWARD
+    return rajagopal.THUMB_FORWARD + wrapped(away)
 
 
 def _foot(skeleton: Skeleton, R_pelvis_bone: np.ndarray, side: str) -> dict[str, np.ndarray]:

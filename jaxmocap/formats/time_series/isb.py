@@ -25,9 +25,9 @@ one meaning on both sides.
 The shoulder's plane of elevation is 0 for an arm raised sideways and 90 degrees for one raised
 forwards; the elevation is negative when raised (ISB's sign): -90 degrees is level. Hanging or
 straight up, the arm has no plane, and only the plane and the rotation together mean something:
-there the plane is kept. An arm that swings through goes on continuously to the other side, where
-the elevation is positive: (plane, elevation, rotation) and (plane + 180, -elevation, rotation
-+ 180) are the same turn; an arm that circles gathers whole turns. A knee that flexes turns
+there the plane goes evenly. An arm that swings through goes on continuously to the other side,
+where the elevation is positive: (plane, elevation, rotation) and (plane + 180, -elevation, rotation
++ 180) are the same turn; one that stays there, or circles, steps back. A knee that flexes turns
 negatively about z; Grood and Suntay's flexion is positive, and so is ours.
 
 Pelvis and thorax in the world turn about the vertical first, so that lean and tilt are the
@@ -51,7 +51,7 @@ import numpy as np
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.orientations import body_turns, matrices
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.geometry.euler import continuous_euler
+from jaxmocap.geometry.euler import FREE, continuous_euler
 
 # Our axes (x forward, y left, z up) hold ISB's x, y, z in these columns; the world's alike.
 R_BONE_ISB = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -59,6 +59,11 @@ R_BONE_ISB = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 MIRROR = np.diag([1.0, 1.0, -1.0])
 # ISB's axes of forearm and hand in those that their bones have by the above: palms turn forward.
 SUPINATED = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+
+
+Range = tuple[float, float]
+# The elevation is negative by ISB's convention, positive where an arm swings through hanging.
+_SHOULDER = ((-180, 180), (-180, 0), (-180, 180))
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,7 @@ class Joint:
         order: of the three turns, about the axes that the earlier ones leave.
         angles: their names.
         signs: what a positive angle is multiplied with.
+        ranges: of the three turns, degrees, to which their angles keep where they can.
     """
 
     name: str
@@ -80,19 +86,20 @@ class Joint:
     order: str
     angles: tuple[str, str, str]
     signs: tuple[int, int, int] = (1, 1, 1)
+    ranges: tuple[Range, Range, Range] = ((-180, 180), (-90, 90), (-180, 180))
 
 
-PELVIS_JOINT = (
-    Joint("pelvis", None, None, "YXZ", ("rotation", "lean", "tilt")),
-    Joint("thorax", None, "spine3", "YXZ", ("rotation", "lean", "tilt")),
-)
+_WORLD = ("YXZ", ("rotation", "lean", "tilt"), (1, 1, 1), (FREE, (-90, 90), FREE))
+PELVIS_JOINT = (Joint("pelvis", None, None, *_WORLD), Joint("thorax", None, "spine3", *_WORLD))
 TRUNK_JOINTS = (
     Joint("trunk", None, "spine3", "ZXY", ("extension", "bending", "rotation")),
     Joint("neck", "spine3", "head", "ZXY", ("extension", "bending", "rotation")),
 )
 _LEG = ("flexion", "adduction", "rotation")
 LIMB_JOINTS = (
-    Joint("shoulder", "spine3", "humerus", "YXY", ("plane", "elevation", "rotation")),
+    Joint(
+        "shoulder", "spine3", "humerus", "YXY", ("plane", "elevation", "rotation"), ranges=_SHOULDER
+    ),
     Joint("elbow", "humerus", "radius", "ZXY", ("flexion", "carrying", "pronation")),
     Joint("wrist", "radius", "hand", "ZXY", ("flexion", "deviation", "rotation")),
     Joint("hip", None, "femur", "ZXY", _LEG),
@@ -118,7 +125,7 @@ def isb_angles(motion: Motion) -> dict[str, np.ndarray]:
             R_near, R_far = (_segment(skeleton, R_pelvis_bone, bone) for bone in (near, far))
             wanted.append((joint, side, kept, R_near.swapaxes(-1, -2) @ R_far))
     angles = _euler_angles(
-        [joint.order for joint, *_ in wanted], [_in_isb(*each) for each in wanted]
+        [joint for joint, *_ in wanted], [_in_isb(*each) for each in wanted], motion.times
     )
     return {
         "_".join(filter(None, (joint.name, joint.angles[k], side))): joint.signs[k]
@@ -140,12 +147,13 @@ def _segment_axes(bone: str | None) -> np.ndarray:
     return SUPINATED if bone in ("radius", "hand") else np.eye(3)
 
 
-def _euler_angles(orders: list[str], R: list[np.ndarray]) -> list[np.ndarray]:
+def _euler_angles(joints: list[Joint], R: list[np.ndarray], times: np.ndarray) -> list[np.ndarray]:
     """Angles (T, 3) of each joint's turns (T, 3, 3); joints of one order go together."""
-    turns = [np.empty(0)] * len(orders)
-    for order in set(orders):
-        alike = [i for i, other in enumerate(orders) if other == order]
-        angles = continuous_euler(np.stack([R[i] for i in alike], 1), order)
+    turns = [np.empty(0)] * len(joints)
+    for order in {joint.order for joint in joints}:
+        alike = [i for i, joint in enumerate(joints) if joint.order == order]
+        ranges = np.radians([joints[i].ranges for i in alike])
+        angles = continuous_euler(np.stack([R[i] for i in alike], 1), order, ranges, times)
         for column, i in enumerate(alike):
             turns[i] = angles[:, column]
     return turns

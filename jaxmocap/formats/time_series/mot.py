@@ -19,6 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.motion import Motion, near_origin
+from jaxmocap.body.orientations import matrices
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.files.errors import InputError
@@ -34,35 +35,42 @@ from jaxmocap.formats.time_series.tables import (
     parse_rows,
     row_texts,
 )
+from jaxmocap.geometry.euler import FREE, continuous_euler
 
 TRANSLATION_COLUMNS = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
 ROTATION_COLUMNS = ("pelvis_yaw", "pelvis_pitch", "pelvis_roll")
 _EULER_ORDER = "ZYX"
 _MOST_HEADER_LINES = 1000
+# Between two samples; no joint goes so far.
+LARGEST_STEP_DEG = 60
 
 
-def write_mot(path: str | Path, motion: Motion) -> None:
-    """Write the angles of a motion; NaN where a pose is unknown."""
+def write_mot(path: str | Path, motion: Motion) -> list[str]:
+    """Write the angles of a motion; NaN where a pose is unknown. Returns ``write_table``'s."""
     names = (*TRANSLATION_COLUMNS, *ROTATION_COLUMNS, *motion.skeleton.tree.joints)
-    quaternion = np.asarray(motion.poses.quaternion, float)
-    is_finite = np.isfinite(quaternion.sum(-1))
-    turns = np.full((len(is_finite), 3), np.nan)
-    if is_finite.any():
-        R_world_pelvis = Rotation.from_quat(quaternion[is_finite], scalar_first=True)
-        turns[is_finite] = np.unwrap(R_world_pelvis.as_euler(_EULER_ORDER), axis=0)
+    R_world_pelvis = matrices(np.asarray(motion.poses.quaternion, float))
+    ranges = np.radians([(FREE, (-90, 90), FREE)])
+    turns = continuous_euler(R_world_pelvis[:, None], _EULER_ORDER, ranges, motion.times)[:, 0]
     angles = np.degrees(np.concatenate([turns, np.asarray(motion.poses.angles, float)], 1))
     table = np.concatenate([motion.positions_world, angles], 1)
-    write_table(Path(path), motion.times, dict(zip(names, table.T, strict=True)))
+    return write_table(Path(path), motion.times, dict(zip(names, table.T, strict=True)))
 
 
-def write_isb(path: str | Path, motion: Motion) -> None:
-    """Write the angles of ISB's joint coordinate systems; NaN where a pose is unknown."""
+def write_isb(path: str | Path, motion: Motion) -> list[str]:
+    """Write the angles of ISB's joint coordinate systems; NaN where a pose is unknown.
+
+    Returns ``write_table``'s.
+    """
     columns = {name: np.degrees(angle) for name, angle in isb_angles(motion).items()}
-    write_table(Path(path), motion.times, columns)
+    return write_table(Path(path), motion.times, columns)
 
 
-def write_table(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns (T,), degrees but for places."""
+def write_table(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray]) -> list[str]:
+    """Write columns (T,), degrees but for places.
+
+    Returns:
+        A sentence on the largest step of an angle, where one is larger than ``LARGEST_STEP_DEG``.
+    """
     head = [path.stem, "version=1", f"nRows={len(times)}", f"nColumns={len(columns) + 1}"]
     lines = [*head, "inDegrees=yes", "endheader", "\t".join(["time", *columns])]
     table = np.stack(list(columns.values()), 1)
@@ -70,6 +78,19 @@ def write_table(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray]
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{line}\n" for line in lines)
         file.writelines(f"{time:.9f}\t{row}\n" for time, row in rows)
+    return list(_of_steps(times, {name: a for name, a in columns.items() if _is_angle(name)}))
+
+
+def _of_steps(times: np.ndarray, columns: Mapping[str, np.ndarray]) -> Iterator[str]:
+    steps = np.abs(np.diff(np.stack(list(columns.values()), 1), axis=0))
+    large = steps > LARGEST_STEP_DEG
+    if large.any():
+        sample, column = np.unravel_index(np.where(large, steps, 0.0).argmax(), steps.shape)
+        yield (
+            f"{list(columns)[column]} steps by {steps[sample, column]:.0f}° from "
+            f"{times[sample]:.2f} to {times[sample + 1]:.2f} s, the largest of "
+            f"{int(large.sum())} above {LARGEST_STEP_DEG}°"
+        )
 
 
 def read_mot(path: str | Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -114,7 +135,11 @@ def _header(path: str | Path, lines: Iterator[tuple[int, str]]) -> tuple[dict[st
 
 
 def _radians(name: str, column: np.ndarray) -> np.ndarray:
-    return column if name.endswith(("_tx", "_ty", "_tz")) else np.radians(column)
+    return np.radians(column) if _is_angle(name) else column
+
+
+def _is_angle(name: str) -> bool:
+    return not name.endswith(("_tx", "_ty", "_tz"))
 
 
 def motion_from_angles(
