@@ -44,10 +44,12 @@ class _Places(NamedTuple):
     def of(cls, ranges: np.ndarray) -> "_Places":
         """By (J, 3, 2) radians."""
         ranges = ranges[:, None]
-        is_free = np.isinf(ranges).any(-1)
-        middle = np.where(is_free[..., None], 0.0, ranges).mean(-1)
-        half = np.where(is_free, np.inf, np.ptp(np.where(is_free[..., None], 0.0, ranges), -1) / 2)
-        tried = [(0.0,) if free else (0.0, 2 * np.pi) for free in is_free.all((0, 1))]
+        is_free = np.asarray(np.isinf(ranges).any(-1))
+        least, most = np.moveaxis(np.where(is_free[..., None], 0.0, ranges), -1, 0)
+        middle, half = (least + most) / 2, np.where(is_free, np.inf, (most - least) / 2)
+        tried = [
+            (0.0,) if free else (0.0, 2 * np.pi) for free in np.atleast_1d(is_free.all((0, 1)))
+        ]
         return cls(middle, half, is_free, np.array(list(product(*tried))))
 
     def triples(self, ways: np.ndarray) -> np.ndarray:
@@ -110,10 +112,10 @@ def _cheapest(ways: np.ndarray, places: _Places, interval: float) -> np.ndarray:
     is_measured = np.isfinite(ways[..., 0, 0])
     before = places.triples(np.zeros(ways.shape[1:]))
     has_begun = np.zeros(len(before), bool)
-    total = np.zeros(before.shape[:2])
-    total[:, before.shape[1] // 2 :] = _UNUSUAL_COST
-    origins = np.empty((len(ways), *total.shape), np.int8)
-    stay = np.arange(total.shape[1], dtype=np.int8)
+    count = before.shape[1]
+    total = np.tile(np.repeat([0.0, _UNUSUAL_COST], count // 2), (len(before), 1))
+    origins = np.empty((len(ways), len(before), count), np.int8)
+    stay = np.arange(count, dtype=np.int8)
     for i, measured in enumerate(is_measured):
         if not measured.any():
             origins[i] = stay
