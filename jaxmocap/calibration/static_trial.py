@@ -17,7 +17,12 @@ from jaxmocap.body.subject import NECK_HEAD, TRUNK
 from jaxmocap.capture.checks.body_reach import skeleton_stature
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import TomlTable
-from jaxmocap.formats.recordings.subject import read_subject, static_landmarks, write_subject
+from jaxmocap.formats.recordings.subject import (
+    person_table,
+    read_subject,
+    static_landmarks,
+    write_subject,
+)
 from jaxmocap.formats.time_series.markers import read_markers
 
 BY_HEIGHT = "by height (Winter)"
@@ -155,6 +160,19 @@ def scale_by_static(
     height = skeleton_stature(skeleton)
     write_subject(out, skeleton, height)
     return ScaledBody(skeleton, height, measured, Path(out))
+
+
+def measured_bones(path: Path) -> tuple[str, ...]:
+    """Bones whose length a recording file's [subject] measures or states; others follow by height.
+
+    Raises:
+        InputError: the file, or one that it names, cannot be read.
+    """
+    fields = person_table(path)
+    if "static" in fields:
+        return tuple(length_deviations(static_landmarks(fields)))
+    stated = fields.entries.get("bones", {})
+    return tuple(bone for bone, entry in stated.items() if "length" in entry)
 
 
 def length_deviations(landmarks: Mapping[str, np.ndarray]) -> dict[str, tuple[float, int]]:

@@ -3,9 +3,11 @@
 INPUTS: a Recording. OUTPUTS: plain text; a dict for JSON; InputError where tracking is hopeless.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from jaxmocap.calibration.static_trial import measured_bones
 from jaxmocap.capture.checks.body_reach import skeleton_stature
 from jaxmocap.capture.checks.cameras import MarkerVisibility, check_recording, marker_visibility
 from jaxmocap.capture.checks.markers import Finding
@@ -25,18 +27,21 @@ class RecordingCheck:
         findings: what is wrong, fatal findings first.
         views: what each camera sees of the markers.
         warnings: of reading the videos.
+        measured_bones: whose length [subject] measures or states.
     """
 
     recording: Recording
     findings: list[Finding]
     views: list[MarkerVisibility]
     warnings: tuple[str, ...]
+    measured_bones: tuple[str, ...] = ()
 
     def figures(self) -> dict[str, Any]:
         """Plain figures: metres, seconds, samples per second."""
         times, interval = self.recording.times, median_interval(self.recording.times)
         return {
             "stature_m": skeleton_stature(self.recording.skeleton),
+            "measured_bones": list(self.measured_bones),
             "samples": len(times),
             "start_s": float(times[0]),
             "end_s": float(times[-1]),
@@ -54,6 +59,7 @@ class RecordingCheck:
         rate = f" at {figures['rate_hz']:.4g} Hz" if figures["rate_hz"] else ""
         lines = [
             f"person   {figures['stature_m']:.2f} m tall",
+            f"lengths  {self._lengths()}",
             f"markers  {', '.join(figures['markers'])}: {figures['samples']} samples{rate}, "
             f"{figures['start_s']:.2f} to {figures['end_s']:.2f} s",
             *([f"set      {used.sentence()}"] if (used := self.recording.marker_set) else []),
@@ -64,6 +70,15 @@ class RecordingCheck:
         ]
         return "\n".join(lines if self.findings else [*lines, "nothing wrong was found"])
 
+    def _lengths(self) -> str:
+        """Which bones' lengths were measured and which follow from the height."""
+        if not self.measured_bones:
+            return "all by the height"
+        bones = self.recording.skeleton.tree.bones
+        rest = [bone for bone in bones if bone not in self.measured_bones]
+        parts = {"measured": self.measured_bones, "by the height": rest}
+        return "; ".join(f"{basis}: {_bone_list(each)}" for basis, each in parts.items() if each)
+
     def _others(self) -> list[Finding]:
         """The findings but for a first one that is fatal."""
         return self.findings[bool(self.findings and self.findings[0].fatal) :]
@@ -73,6 +88,16 @@ class RecordingCheck:
         if self.findings and self.findings[0].fatal:
             where = self.recording.path or self.recording.name
             raise InputError(where, self.findings[0].sentence)
+
+
+def _bone_list(bones: Sequence[str]) -> str:
+    """Names of bones; without side where both sides are among them."""
+    return ", ".join(
+        dict.fromkeys(
+            bone[:-2] if {f"{bone[:-2]}_l", f"{bone[:-2]}_r"} <= set(bones) else bone
+            for bone in bones
+        )
+    )
 
 
 def _set_figures(marker_set: MarkerSet | None) -> dict[str, Any] | None:
@@ -100,4 +125,5 @@ def check(recording: Recording) -> RecordingCheck:
     views = [
         marker_visibility(recording, *each) for each in zip(recording.videos, times, strict=True)
     ]
-    return RecordingCheck(recording, check_recording(recording, times), views, warnings)
+    measured = () if recording.path is None else measured_bones(recording.path)
+    return RecordingCheck(recording, check_recording(recording, times), views, warnings, measured)

@@ -92,6 +92,31 @@ def test_a_static_trial_says_what_each_length_rests_on(tmp_path, capsys):
     assert "split as in Table 1" in printed.err
 
 
+def test_check_lists_which_lengths_were_measured(tmp_path, capsys):
+    landmarks = {name: np.tile(at, (5, 1)) for name, at in standing(Skeleton.human(1.70)).items()}
+    required = ("neck", "shoulder_l", "shoulder_r", "hip_l", "hip_r")
+    arms = ("elbow_l", "elbow_r", "wrist_l", "wrist_r")
+    expected = {
+        required: "measured: spine1, spine2, spine3, clavicle, hip; by the height: neck, head,",
+        (*required, *arms): "hip; by the height: neck, head, hand, femur, tibia, foot",
+        (*required, *arms[:1]): "humerus_l, hip; by the height: neck, head, radius, hand, femur,",
+    }
+    write_trc(tmp_path / "static.trc", np.arange(5) / 100, landmarks)
+    for stated, line in expected.items():
+        subject = {"static": "static.trc", "landmarks": {name: name for name in stated}}
+        path = write_recording(
+            tmp_path, "static.trc", {"vertex": {"bone": "head"}}, subject=subject
+        )
+        assert main(["check", str(path), "--json", str(tmp_path / "c.json")]) == 0
+        assert line in capsys.readouterr().out
+        figures = json.loads((tmp_path / "c.json").read_text())
+        assert {"spine1", "hip_l"} <= set(figures["measured_bones"])
+    subject = {"height": 1.7}
+    path = write_recording(tmp_path, "static.trc", {"vertex": {"bone": "head"}}, subject=subject)
+    assert main(["check", str(path)]) == 0
+    assert "lengths  all by the height" in capsys.readouterr().out
+
+
 def test_a_real_static_trial_becomes_a_file(recordings, tmp_path):
     table = tomllib.loads((recordings / "balancing" / "recording_cam_01.toml").read_text())
     subject = table["subject"]

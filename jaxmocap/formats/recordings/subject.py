@@ -85,6 +85,19 @@ def read_subject(path: Path, where: str, table: Any, wrists: bool = False) -> Sk
     return with_wrists(skeleton) if usual else skeleton
 
 
+def person_table(path: Path) -> TomlTable:
+    """A recording file's [subject], or what the file has that it names; empty where there is none.
+
+    Raises:
+        InputError: it names a file that cannot be read.
+    """
+    fields = TomlTable(path, "[subject]", read_toml(path).get("subject", {}))
+    if "file" not in fields:
+        return fields
+    other = fields.file("file")
+    return TomlTable(other, "", read_toml(other))
+
+
 def _by_file(fields: TomlTable, wrists: bool) -> Skeleton:
     """The skeleton of the file that a table names."""
     if also := [key for key in ("height", "static") if key in fields]:
