@@ -26,7 +26,9 @@ if TYPE_CHECKING:
         solve,
     )
     from jaxmocap.hybrid.settings import Settings
-    from jaxmocap.hybrid.tracker import HybridTracker, State
+    from jaxmocap.hybrid.step import State
+    from jaxmocap.hybrid.tracker import HybridTracker
+    from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.tracking.functions import first_pass
     from jaxmocap.pipelines.tracking.track import track
     from jaxmocap.smoothing.functions import Events, SmoothMotion
@@ -51,6 +53,7 @@ __all__ = [
     "__version__",
     "evaluate",
     "first_pass",
+    "keep_compiled",
     "landmarks",
     "observe",
     "refine",
@@ -74,9 +77,10 @@ _HOMES = {
     "Settings": "hybrid.settings",
     "Skeleton": "body.skeleton",
     "SmoothMotion": "smoothing.functions",
-    "State": "hybrid.tracker",
+    "State": "hybrid.step",
     "evaluate": "evaluation.motions",
     "first_pass": "pipelines.tracking.functions",
+    "keep_compiled": "pipelines.kept_programs",
     "landmarks": "hybrid.functions",
     "observe": "hybrid.functions",
     "refine": "hybrid.functions",

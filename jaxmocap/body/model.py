@@ -10,6 +10,7 @@ from typing import Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from jaxmocap.body import arms
 from jaxmocap.body.arms import SIDES
@@ -114,6 +115,34 @@ class Model:
         sites = marker_sites(skeleton, recording.places)
         cameras = [video.camera for video in recording.videos]
         return on_unmarked_feet(cls.create(skeleton, sites, cameras))
+
+    def with_lengths(self, **lengths: Array | float) -> "Model":
+        """The model with other bone lengths; a derivative by them goes through it.
+
+        Girths, masses and where markers sit along their bones stay.
+
+        Args:
+            **lengths: bone -> () metres; ``model.skeleton.tree.bones`` has the names.
+
+        Raises:
+            KeyError: no such bone; the message lists the valid ones.
+            ValueError: not one number.
+
+        Example:
+            >>> from jaxmocap import Model, Skeleton
+            >>> model = Model.create(Skeleton.human(1.75))
+            >>> longer = model.with_lengths(humerus_l=0.33, humerus_r=0.33)
+            >>> float(longer.skeleton.lengths[longer.skeleton.tree.bone("humerus_l")])
+            0.33...
+        """
+        tree, changed = self.skeleton.tree, self.skeleton.lengths
+        for name, length in lengths.items():
+            bone = tree.bone(name)
+            if shape := np.shape(length):
+                problem = f"found shape {shape}, expected one length, metres"
+                raise ValueError(f"{name}: {problem}; jax.vmap takes several at once")
+            changed = changed.at[bone].set(jnp.asarray(length, self.dtype))
+        return replace(self, skeleton=replace(self.skeleton, lengths=changed))
 
     def __repr__(self) -> str:
         """In one line: counts and names, no numbers."""

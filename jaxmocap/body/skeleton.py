@@ -131,6 +131,17 @@ class Skeleton:
     unmarked_relaxed: Array
     unmarked_least: Array
 
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Field -> shape, of all arrays."""
+        B, D = len(self.tree.bones), len(self.tree.joints)
+        of_bones = {"lengths": (B,), "directions": (B, 3), "masses": (B,), "centres": (B,)}
+        of_joints = {"axes": (D, 3), "limits": (D, 2), "costs": (ROOT_DOF + D,)}
+        of_joints["unmarked_costs"] = of_joints["costs"]
+        each = ("relaxed", "usual_deviations", "rest_deviations")
+        one_each = dict.fromkeys((*each, "unmarked_relaxed", "unmarked_least"), (D,))
+        return of_bones | {"diameters": (B, 2)} | of_joints | one_each
+
     @classmethod
     def human(cls, height: float | None = None, mass: float | None = None) -> "Skeleton":
         """The paper's subject (Table 1), or a person of that height scaled by Winter's proportions.

@@ -22,9 +22,9 @@ from typing import Any, Literal, NamedTuple, Protocol
 import jax
 import numpy as np
 from jax import Array, export
-from jax.core import Tracer
 
-from jaxmocap.compilation.structures import from_json, to_json
+from jaxmocap.compilation.arguments import is_traced
+from jaxmocap.compilation.structures import from_json, is_of_this_code, to_json
 
 # What has a hand in tracing, beside this package.
 BUILT_ON = ("jax", "jaxlib", "numpy", "equinox", "lineax", "optimistix")
@@ -122,7 +122,7 @@ class Program:
     def __call__(self, *arguments: Any) -> Any:
         """The function's result."""
         arguments = (*self._first, *arguments)
-        if _store is None or _is_traced(arguments):
+        if _store is None or is_traced(arguments):
             return self.jitted(*arguments)
         return self._chosen()(*arguments)
 
@@ -130,7 +130,8 @@ class Program:
         """Shapes of the result, from arguments or from what has their shapes."""
         arguments = (*self._first, *like)
         leaves, structure = jax.tree.flatten(arguments)
-        kept = _read(*self._name_and_key(leaves, structure)) if _store else None
+        can_keep = _store and is_of_this_code(structure)
+        kept = _read(*self._name_and_key(leaves, structure)) if can_keep else None
         if kept is None:
             # Not exported for this alone: it can wait until it is compiled.
             return jax.eval_shape(self.jitted, *arguments)
@@ -182,6 +183,8 @@ class Program:
 
     def _look_up(self, leaves: list[Array], structure: Any) -> _Kept | None:
         """What an earlier start kept, or what this one makes of it; None if it cannot be kept."""
+        if not is_of_this_code(structure):
+            return None
         name, key = self._name_and_key(leaves, structure)
         return _read(name, key) or self._make(_like(leaves), structure, name, key)
 
@@ -283,10 +286,6 @@ def _write(name: str, key: str, blob: bytes, structure: Any) -> None:
         return
     text = described.encode()
     _store.write(name, key, len(text).to_bytes(LENGTH_BYTES, "little") + text + blob)
-
-
-def _is_traced(arguments: Any) -> bool:
-    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arguments))
 
 
 def _surroundings() -> tuple:

@@ -1,8 +1,8 @@
 """Structures of results as JSON: which tuples, lists, dicts and NamedTuples hold the arrays.
 
 INPUTS: the structure (PyTreeDef) of a result, or such JSON.
-OUTPUTS: the other. Reading it imports no module and runs no code of a class: a NamedTuple is looked
-up among the modules that are there already.
+OUTPUTS: the other, and whether a structure is of this package's classes alone. Reading it imports
+no module and runs no code of a class: a NamedTuple is looked up among the modules that are there.
 """
 
 import json
@@ -38,6 +38,18 @@ def from_json(text: str) -> Any:
         return jax.tree.structure(_filled(json.loads(text)))
     except (_UnknownError, RecursionError):
         raise ValueError("not a structure that can be restored here") from None
+
+
+def is_of_this_code(structure: Any) -> bool:
+    """Whether all classes in a structure of arguments are this package's, or containers.
+
+    Of a user's own, such as a term, the code is not known: it may change from start to start.
+    """
+    kind = (structure.node_data() or (None, None))[0]
+    name = getattr(kind, "__module__", "builtins")
+    return name.partition(".")[0] in ("builtins", "jaxmocap") and all(
+        map(is_of_this_code, structure.children())
+    )
 
 
 def _described(structure: Any) -> Any:

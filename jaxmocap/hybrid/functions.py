@@ -1,5 +1,7 @@
 """The hybrid tracker as pure functions of arrays: no memory, differentiable, jit and vmap.
 
+Each checks its arguments and is one compiled program, alone or within another.
+
     solve      markers -> the pose at the optimum of inverse kinematics
     observe    images -> fields, on the host (OpenCV)
     refine     pose, fields -> the pose whose arms lie on the edges
@@ -24,9 +26,12 @@ from jaxmocap.body.arms import Arms, arms_of
 from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract
+from jaxmocap.compilation.arguments import check_kind, check_settings, check_shape
+from jaxmocap.compilation.programs import Program, program
 from jaxmocap.evidence.edges import EdgeFields, WeightedEdges
 from jaxmocap.evidence.markers import Goals
 from jaxmocap.evidence.posture import EasyPosture, NearPose
+from jaxmocap.evidence.shapes import checked_markers, checked_model, checked_pose
 from jaxmocap.hybrid import step
 from jaxmocap.hybrid.elbow_search import no_belief
 from jaxmocap.hybrid.feet import FootPlacement, place, replant
@@ -37,12 +42,17 @@ from jaxmocap.hybrid.observe import observe as edge_fields
 from jaxmocap.hybrid.refine import arms_at_minimum, refine_arms, search_elbows
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.images.regions import Region
-from jaxmocap.smoothing.functions import Events, SmoothMotion, smooth_events
+from jaxmocap.smoothing.functions import Events, SmoothMotion, checked_events, smooth_events
 
 
 def landmarks(model: Model, pose: Pose) -> Array:
     """Positions (L, 3) of the ``LANDMARKS``, in their order, world, metres."""
-    return kinematics.landmarks(model.skeleton, pose)
+    model = checked_model(model)
+    pose = checked_pose("pose", model, pose)
+    return _LANDMARKS(model.skeleton, pose)
+
+
+_LANDMARKS = Program(kinematics.landmarks, "landmarks", effort="quick")
 
 
 def solve(
@@ -61,11 +71,17 @@ def solve(
         markers_world: (M, 3) metres; NaN where missing.
         start: a pose to begin with, whose feet stand; without it the body is placed by the markers.
     """
-    settings, markers = in_precision(model, (settings, jnp.asarray(markers_world)))
+    model, settings = _checked(model, settings)
+    markers = checked_markers(model, markers_world)
+    return _solved(model, settings, markers, start and checked_pose("start", model, start))
+
+
+@program("quick")
+def _solved(model: Model, settings: Settings, markers: Array, start: Pose | None) -> Pose:
     ik = settings.ik
     placed, feet = place(model, ik, markers)
     if start is not None:
-        placed = in_precision(model, start)
+        placed = start
         feet, _ = replant(model, ik, placed, _standing(model, placed), markers)
     near = _near(*jax.lax.stop_gradient((model, settings, markers)), start, feet)
     measured = {"goals": goals_of(model, ik, feet, markers), "centre": placed}
@@ -82,7 +98,7 @@ def _near(
     """Where algorithm 1 ends."""
     if start is None:
         return step.start(model, settings, markers).pose
-    held, feet = jax.lax.stop_gradient((in_precision(model, start), feet))
+    held, feet = jax.lax.stop_gradient((start, feet))
     return solve_ik(model, settings.ik, held, feet, markers).pose
 
 
@@ -122,24 +138,25 @@ def observe(
     Raises:
         ValueError: as many images as cameras are expected.
     """
+    model, settings = _checked(model, settings)
+    pose = checked_pose("pose", model, pose)
     each = [images] if images is None or isinstance(images, np.ndarray) else list(images)
     if len(each) != model.camera_count or model.cameras is None:
         raise ValueError(f"found {len(each)} images, expected one for each of the model's "
                          f"{model.camera_count} cameras, None where there is none")  # fmt: skip
-    settings, pose = in_precision(model, (settings, pose))
     region = _regions(model, settings, pose)
     fields, _ = edge_fields(settings, no_thresholds(model.camera_count), each, region)
     return _searched(model, settings, pose, in_precision(model, fields))
 
 
-@jax.jit
+@program("quick")
 def _regions(model: Model, settings: Settings, pose: Pose) -> Region:
     assert model.cameras is not None
     arms = _arms(model, pose)
     return arm_regions(model.cameras, arms, settings.samples, settings.margin, settings.spacing)
 
 
-@jax.jit
+@program("quick")
 def _searched(model: Model, settings: Settings, pose: Pose, fields: EdgeFields) -> Observation:
     """The fields, where the search has the elbows, and the outlines as they then show."""
     arms, belief = _arms(model, pose), no_belief(settings.elbow_search, pose)
@@ -167,9 +184,15 @@ def refine(model: Model, settings: Settings, pose: Pose, observation: Observatio
         pose: of the markers.
         observation: of ``observe``.
     """
+    model, settings = _checked(model, settings)
+    pose = checked_pose("pose", model, pose)
     if settings.refine == "none" or model.cameras is None:
         return pose
-    settings, pose, observed = in_precision(model, (settings, pose, observation))
+    return _refined(model, settings, pose, _checked_observation(model, settings, observation))
+
+
+@program("quick")
+def _refined(model: Model, settings: Settings, pose: Pose, observed: Observation) -> Pose:
     held = jax.lax.stop_gradient((model, settings, pose, observed))
     followed = _followed(*held)
     if settings.refine == "search":
@@ -224,8 +247,28 @@ def smooth(model: Model, settings: Settings, events: Events) -> SmoothMotion:
         settings: of the tracker.
         events: of ``first_pass``, or of one's own arrays.
     """
-    settings, events = in_precision(model, (settings, events))
-    return smooth_events(model, settings.smoothing, events)
+    model, settings = _checked(model, settings)
+    return _SMOOTH(model, settings.smoothing, checked_events(model, events))
+
+
+_SMOOTH = Program(smooth_events, "smooth", effort="quick")
+
+
+def _checked(model: Any, settings: Any) -> tuple[Model, Settings]:
+    """Both in the model's precision; TypeError or ValueError where they cannot be used."""
+    model = checked_model(model)
+    check_settings("settings", settings, Settings)
+    return model, in_precision(model, settings)
+
+
+def _checked_observation(model: Model, settings: Settings, observation: Any) -> Observation:
+    """What ``observe`` found of this model's cameras, by these settings."""
+    check_kind("observation", observation, Observation)
+    C, K, S = model.camera_count, settings.channels, settings.samples
+    distances, elbows = np.shape(observation.edges.fields.distances), np.shape(observation.elbows)
+    check_shape("observation.edges.fields.distances", distances, (C, 2, K, S, S), model)
+    check_shape("observation.elbows", elbows, (2, 3))
+    return in_precision(model, observation)
 
 
 def _own_goals(model: Model, settings: Settings, pose: Pose) -> Goals:

@@ -62,6 +62,24 @@ class Start(NamedTuple):
     belief: ElbowBelief
 
 
+class State(NamedTuple):
+    """What an event leaves to the next: all of a tracker's memory.
+
+    Attributes:
+        pose: of the markers alone.
+        feet: where they stand.
+        belief: about the elbows, by the video.
+        thresholds: of edges in the arms' regions.
+        time: of the last event that was refined, seconds; None before the first.
+    """
+
+    pose: Pose
+    feet: FootPlacement
+    belief: ElbowBelief
+    thresholds: ArmThresholds
+    time: float | None
+
+
 class EventFields(NamedTuple):
     """Fields of C cameras at some events, each kept once.
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -20,13 +20,13 @@ from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.model import Model, Recorded, marker_sites, on_unmarked_feet
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.compilation.arguments import check_shape, is_traced
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.balance import spine_dofs
 from jaxmocap.hybrid.elbow_search import ElbowBelief
-from jaxmocap.hybrid.feet import FootPlacement
-from jaxmocap.hybrid.observe import ArmThresholds, no_thresholds, observe
+from jaxmocap.hybrid.observe import no_thresholds, observe
 from jaxmocap.hybrid.refine import Solved, StepReport
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import (
@@ -44,27 +44,10 @@ from jaxmocap.hybrid.step import (
     EventFields,
     Images,
     RefineInputs,
+    State,
     one_ahead,
 )
 from jaxmocap.solvers.status import Status
-
-
-class State(NamedTuple):
-    """What an event leaves to the next: all of a tracker's memory.
-
-    Attributes:
-        pose: of the markers alone.
-        feet: where they stand.
-        belief: about the elbows, by the video.
-        thresholds: of edges in the arms' regions.
-        time: of the last event that was refined, seconds; None before the first.
-    """
-
-    pose: Pose
-    feet: FootPlacement
-    belief: ElbowBelief
-    thresholds: ArmThresholds
-    time: float | None
 
 
 class HybridTracker:
@@ -143,9 +126,10 @@ class HybridTracker:
         """The state before the first event, at rest on its (M, 3) markers; NaN where missing.
 
         Raises:
+            TypeError: called while JAX traces.
             ValueError: other markers than the model's.
         """
-        targets, solving = self._targets(markers_world), self._solving()
+        targets, solving = self._targets("init", markers_world), self._solving()
         self._balancing()
         begun = PLACE(self.model, self.settings, targets)
         pose, feet = begun.pose, begun.feet
@@ -179,10 +163,11 @@ class HybridTracker:
             The state, the refined pose and a report.
 
         Raises:
+            TypeError: called while JAX traces.
             ValueError: other markers than the model's.
         """
         model, settings, clock = self.model, self.settings, clock or Clock(False)
-        targets = self._targets(markers_world)
+        targets = self._targets("step", markers_world, state, time)
         solve = self._solving()()
         solved = clock.timed("solve", solve, model, settings, state.pose, state.feet, targets)
         fields, thresholds = None, state.thresholds
@@ -215,21 +200,25 @@ class HybridTracker:
             The state, the markers' pose and a report whose elbows are of unknown deviation.
 
         Raises:
+            TypeError: called while JAX traces.
             ValueError: other markers than the model's.
         """
-        targets, clock = self._targets(markers_world), clock or Clock(False)
+        targets, clock = self._targets("solve", markers_world, state), clock or Clock(False)
         given = self.model, self.settings, state.pose, state.feet, targets
         solved = clock.timed("solve", self._solving()(), *given)
         after = state._replace(pose=solved.ik.pose, feet=solved.ik.feet)
         return after, solved.ik.pose, _unrefined(solved, targets)
 
-    def _targets(self, markers_world: np.ndarray | Array) -> np.ndarray:
-        targets = np.asarray(markers_world, self.model.dtype)
-        expected = (len(self.model.markers.bone_indices), 3)
-        if targets.shape != expected:
-            raise ValueError(
-                f"markers_world: found shape {targets.shape}, expected {expected}: {self.model}"
+    def _targets(self, asked: str, markers_world: np.ndarray | Array, *others: Any) -> np.ndarray:
+        """(M, 3) on the host; what is traced is refused."""
+        if is_traced((self.model.skeleton.lengths, markers_world, others)):
+            raise TypeError(
+                f"HybridTracker.{asked} works on the host and cannot be traced by jit, vmap, grad "
+                "or scan; jaxmocap.solve, refine, landmarks and smooth can"
             )
+        targets = np.asarray(markers_world, self.model.dtype)
+        expected = len(self.model.markers.bone_indices), 3
+        check_shape("markers_world", targets.shape, expected, self.model)
         return targets
 
     def scan(

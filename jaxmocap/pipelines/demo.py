@@ -130,7 +130,7 @@ def compiled_tracker() -> HybridTracker:
     """The demo's tracker, compiled by a step on ``standing_recording``."""
     recording = standing_recording(1)
     tracker = make_tracker(recording)
-    track(recording, tracker=tracker)
+    track(recording, tracker=tracker, progress=False)
     return tracker
 
 

@@ -32,9 +32,19 @@ def cache_folder() -> Path:
 
 
 def keep_compiled() -> Path:
-    """Turn both caches on, for everything that compiles from now on; their folder.
+    """Keep what is compiled from now on for later starts, as the commands do.
 
-    Neither is on where another user can write to the folder.
+    It keeps the tracker's own programs and whatever else JAX compiles. A second call changes
+    nothing. Nothing is kept where another user can write to the folder; where it cannot be used, a
+    warning on stderr says so in one line.
+
+    Returns:
+        The folder: ``JAX_COMPILATION_CACHE_DIR`` where that is set, else ``jaxmocap`` in the user's
+        cache folder.
+
+    Example:
+        >>> import jaxmocap
+        >>> folder = jaxmocap.keep_compiled()
     """
     folder = cache_folder()
     folders = folder, folder / TRACED_FOLDER, folder / COMPILED_FOLDER
@@ -44,9 +54,16 @@ def keep_compiled() -> Path:
         keep_in(None)
         _keep_executables(None)
         return folder
+    files = PrivateCache(folder, TRACED_FOLDER, _warn)
+    files.make_folder()
+    if not (files.folder.is_dir() and os.access(files.folder, os.W_OK)):
+        _warn(
+            f"{folder}: cannot be written to, so no compiled program is kept there; "
+            "set JAX_COMPILATION_CACHE_DIR to a folder of your own"
+        )
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    keep_in(PrivateCache(folder, TRACED_FOLDER, _warn))
+    keep_in(files)
     _keep_executables(PrivateCache(folder, COMPILED_FOLDER, _warn))
     return folder
 

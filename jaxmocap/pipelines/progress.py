@@ -3,6 +3,7 @@
 INPUTS: numbers of steps. OUTPUTS: progress bars.
 """
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Event, Thread
@@ -19,13 +20,16 @@ Progress = Callable[[int, int], None]
 def progress_bar(
     label: str, progress: Progress | bool | None, before: str = ""
 ) -> Iterator[Progress]:
-    """What to call with the steps done: the caller's own, a bar on stderr for True, or nothing.
+    """What to call with the steps done: the caller's own, a bar on stderr, or nothing.
 
     Args:
         label: of the bar.
-        progress: see above.
+        progress: the caller's own; True shows a bar, False none, None one where stderr is a
+            terminal.
         before: what is done before the first step; the bar shows it, and the seconds that pass.
     """
+    if progress is None:
+        progress = sys.stderr is not None and sys.stderr.isatty()
     if progress is not True:
         yield progress or (lambda done, total: None)
         return

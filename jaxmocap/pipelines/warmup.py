@@ -87,7 +87,7 @@ def warm_up(recording: Recording, settings: Settings | None = None) -> list[Comp
     short = first_half_second(recording)
     tracker = make_tracker(short, settings)
     return [
-        _timed(name, lambda mode=mode: track(short, tracker=tracker, mode=mode))
+        _timed(name, lambda mode=mode: track(short, tracker=tracker, mode=mode, progress=False))
         for mode, name in MODE_NAMES.items()
     ]
 

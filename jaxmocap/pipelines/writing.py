@@ -121,7 +121,8 @@ def write_outputs(
         recording: with its videos.
         directory: is made where missing; it changes when everything is complete.
         settings: of the tracker, for the edges that the viewer shows.
-        progress: called with the frames drawn and their total; True shows a bar on stderr.
+        progress: called with the frames drawn and their total; True shows a bar
+            on stderr; None does so on a terminal.
         warn: called with a sentence for each file that cannot hold the motion and is left out.
         formats: how the motion's files are written.
 

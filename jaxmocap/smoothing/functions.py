@@ -9,21 +9,26 @@ INPUTS: a Model, settings, Events. OUTPUTS: SmoothMotion.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.compilation.arguments import check_kind, floating
+from jaxmocap.evidence.shapes import checked_measurements, checked_pose
 from jaxmocap.evidence.terms import Measurements, linearised, residuals
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.solvers.block_bands import BlockBands, solve_block_banded
 
+# An acceleration takes so many.
+FEWEST_EVENTS = 3
 # Steps of the descent, at most; the damping it begins with, and factors on it.
 STEPS, DAMPING, EASED, RAISED = 60, 1e-3, 0.2, 10.0
 # Newton steps after it, each of which squares the distance to the minimum.
@@ -46,6 +51,25 @@ class Events(NamedTuple):
     times: Array
     measured: Measurements
     poses: Pose
+
+
+def checked_events(model: Model, events: Any) -> Events:
+    """Events in the model's precision.
+
+    Raises:
+        TypeError: no events, or no real numbers in them.
+        ValueError: fewer than 3, or an array that has not a row for each.
+    """
+    check_kind("events", events, Events)
+    times = np.shape(events.times)
+    if len(times) == 1 and times[0] < FEWEST_EVENTS:
+        raise ValueError(f"events: found {times[0]}, expected {FEWEST_EVENTS} or more")
+    T = times[-1] if times else 0
+    return Events(
+        floating("events.times", events.times, (T,), model.dtype),
+        checked_measurements("events.measured", model, events.measured, T),
+        checked_pose("events.poses", model, events.poses, (T,)),
+    )
 
 
 class SmoothMotion(NamedTuple):

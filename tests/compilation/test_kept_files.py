@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 
+import jaxmocap
 from jaxmocap.compilation.programs import Program
 from jaxmocap.formats.private_cache import PrivateCache
 from jaxmocap.pipelines import kept_programs
@@ -172,6 +173,15 @@ def test_a_file_that_others_could_write_is_made_again_and_this_is_printed(
     assert printed.count("\n") == 1 and f"warning: {file}: " in printed
     monkeypatch.undo()
     assert PrivateCache(root, "compiled").read(file.name, file.stem) is not None
+
+
+def test_a_folder_that_cannot_be_made_is_printed_once_and_nothing_fails(root: Path, capsys) -> None:
+    root.write_text("a file in its place")
+    assert jaxmocap.keep_compiled() == root
+    jaxmocap.keep_compiled()
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1 and f"warning: {root}: cannot be written to" in printed
+    assert compiled(3.0) == ((3 * NUMBERS).tolist(), 1, 0)
 
 
 def test_a_jax_that_takes_no_other_cache_keeps_nothing(

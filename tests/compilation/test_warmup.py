@@ -60,7 +60,9 @@ def test_the_command_tracks_both_ways_and_says_what_it_took(monkeypatch, capsys)
     asked = []
     monkeypatch.setattr(warmup, "make_tracker", lambda recording, settings: settings.refine)
     monkeypatch.setattr(
-        warmup, "track", lambda recording, tracker, mode: asked.append((recording, tracker, mode))
+        warmup,
+        "track",
+        lambda recording, tracker, mode, **_: asked.append((recording, tracker, mode)),
     )
     assert main(["warmup", "--refine", "gradient", "--json", "-"]) == 0
     printed = capsys.readouterr()

@@ -140,7 +140,8 @@ def track_corpus(
             or None for processes here.
         workers: processes here; defaults to one per core.
         timeout_s: a recording that takes longer fails, seconds; None waits for ever.
-        progress: called with the recordings done and their total; True shows a bar on stderr.
+        progress: called with the recordings done and their total; True shows a bar
+            on stderr; None does so on a terminal.
 
     Raises:
         InputError: no recordings, no such folder, no scheduler; a folder for outputs that holds
@@ -238,9 +239,9 @@ def _tracked(job: Job, mark: str) -> CorpusRow:
     recording = load_recording(job.recording)
     folder = tracked_folder(job.folder, recording, [RECORD_FILE])
     settings = choose_settings(job.options.refine, job.options.evidence)
-    motion = track(recording, settings, mode=job.options.mode)
+    motion = track(recording, settings, mode=job.options.mode, progress=False)
     with folder.writing() as stage:
-        write_tracked(motion, recording, stage, settings)
+        write_tracked(motion, recording, stage, settings, progress=False)
         row = row_of(job, motion, perf_counter() - began)
         write_record(stage, mark, row)
     return row

@@ -123,7 +123,7 @@ def _boxes(recording: Recording, camera: Camera, video: FrameSource) -> np.ndarr
     if not recording.places:
         return boxes
     # By markers alone: whatever key points there were before are not read.
-    motion = track(replace(recording, videos=()), Settings(refine="none"))
+    motion = track(replace(recording, videos=()), Settings(refine="none"), progress=False)
     points = np.stack([motion.joints()[name] for name in LANDMARKS], 1)
     nearest = np.abs(motion.times - video.times[:, None]).argmin(1)
     there = jnp.asarray(points[nearest])

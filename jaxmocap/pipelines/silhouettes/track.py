@@ -148,7 +148,8 @@ def track_silhouettes(
         surface: of the person's own model, around the recording's skeleton; without it a generic
             one, whose shape the passes correct.
         lengths: whether passes before the last correct the bones' lengths as well.
-        progress: called with the frames done and their total; True shows a bar on stderr.
+        progress: called with the frames done and their total; True shows a bar
+            on stderr; None does so on a terminal.
 
     Returns:
         One pose per instant of the videos, and the level sets.

@@ -64,7 +64,8 @@ def write_results(
         result: from the recording.
         recording: with its videos.
         directory: is made where missing.
-        progress: called with the frames drawn and their total; True shows a bar on stderr.
+        progress: called with the frames drawn and their total; True shows a bar
+            on stderr; None does so on a terminal.
         person: who was tracked: if their colours were measured, their own surface is the skin.
         inputs: files that were read besides the recording's.
         warn: called with a sentence for each file that cannot hold the motion and is left out.

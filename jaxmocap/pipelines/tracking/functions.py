@@ -36,7 +36,8 @@ def first_pass(
     Args:
         recording: markers, and any number of videos.
         settings: of the tracker; ``refine="none"`` leaves the videos out.
-        progress: called with the events done and their total; True shows a bar on stderr.
+        progress: called with the events done and their total; True shows a bar
+            on stderr; None does so on a terminal.
         tracker: of ``make_tracker`` for this recording; its settings hold.
 
     Raises:

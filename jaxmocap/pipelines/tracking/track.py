@@ -58,7 +58,7 @@ def track(
             ``causal`` is ``own`` without any later marker or frame than a live run would have:
             poses are smoothed by what came before and by at most two more video frames.
         progress: called with the events done and their total, then with the percent of the second
-            pass done and 100; True shows a bar on stderr.
+            pass done and 100; True shows a bar on stderr, None does so on a terminal.
         tracker: of ``make_tracker`` for this recording, so that it compiles once for several
             runs; its settings hold.
 
