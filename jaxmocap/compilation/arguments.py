@@ -93,7 +93,8 @@ def checked_parts(
         key: floating(f"{name}.{key}", getattr(value, key), shape, dtype, about)
         for key, shape in shapes.items()
     }
-    return replace(value, **parts) if is_dataclass(value) else value._replace(**parts)
+    change = replace if is_dataclass(value) else kind._replace  # type: ignore[attr-defined]
+    return change(value, **parts)
 
 
 def check_settings(name: str, value: Any, kind: type) -> None:
