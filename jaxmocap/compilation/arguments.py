@@ -93,8 +93,8 @@ def checked_parts(
         key: floating(f"{name}.{key}", getattr(value, key), shape, dtype, about)
         for key, shape in shapes.items()
     }
-    change = replace if is_dataclass(value) else kind._replace  # type: ignore[attr-defined]
-    return change(value, **parts)
+    is_tuple = hasattr(value, "_replace")
+    return value._replace(**parts) if is_tuple else replace(value, **parts)
 
 
 def check_settings(name: str, value: Any, kind: type) -> None:

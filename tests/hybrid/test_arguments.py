@@ -48,7 +48,7 @@ def test_markers_that_do_not_fit_are_refused_in_one_sentence(markers, error, sen
 
 
 def test_a_trace_is_refused_at_the_door_too():
-    with pytest.raises(ValueError, match="^markers_world: found shape"):
+    with pytest.raises(ValueError, match=r"^markers_world: found shape"):
         jax.jit(jaxmocap.solve)(MODEL, CHOSEN, MARKERS[:2])
 
 
