@@ -1,5 +1,6 @@
 """The public names, frozen: who removes or renames one breaks somebody's notebook."""
 
+import doctest
 import inspect
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import jaxmocap
+from jaxmocap.synthetic.recording import write_table_tennis
 
 PUBLIC = {
     "LANDMARKS",
@@ -101,3 +103,31 @@ def test_importing_the_package_loads_no_room_of_it():
 def test_state_and_pose_are_named_tuples_that_jax_takes_apart():
     assert jaxmocap.Pose._fields == ("position", "quaternion", "angles")
     assert jaxmocap.State._fields[0] == "pose"
+
+
+FUNCTIONS = sorted(n for n in PUBLIC if inspect.isfunction(getattr(jaxmocap, n)))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """With a recording.toml, as the examples have it."""
+    return write_table_tennis(tmp_path_factory.mktemp("examples"), seconds=0.5).parent
+
+
+# Its program takes a minute to compile.
+SMOOTH = pytest.param("smooth", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize(
+    "name", [SMOOTH if name == "smooth" else name for name in (*FUNCTIONS, "Model.with_lengths")]
+)
+def test_the_example_of_a_function_runs(name, folder, monkeypatch, plainly_compiled):
+    monkeypatch.chdir(folder)
+    thing = jaxmocap
+    for part in name.split("."):
+        thing = getattr(thing, part)
+    (example,) = doctest.DocTestFinder(recurse=False).find(thing, name, globs={})
+    assert example.examples, f"help(jaxmocap.{name}) has no example"
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
+    printed = []
+    assert runner.run(example, out=printed.append).failed == 0, "".join(printed)

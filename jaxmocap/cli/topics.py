@@ -29,6 +29,7 @@ TOPICS = (
     "batch",
     "convert",
     "gradients",
+    "terms",
     "how_it_works",
     "limits",
     "papers",

@@ -27,6 +27,13 @@ def evaluate(
     Raises:
         InputError: a file that is missing or no marker file, an unknown name, no common time.
         ValueError: another ``up``.
+
+    Example:
+        >>> from jaxmocap import Recording, Settings, evaluate, track
+        >>> motion = track(Recording.load("recording.toml"), Settings(refine="none"))
+        >>> errors = evaluate(motion, "truth.trc", {"elbow_r": "elbow_r"})
+        >>> bool(errors.mean < 1.0)  # metres
+        True
     """
     in_memory = isinstance(truth, Markers)
     markers = truth if in_memory else read_markers(truth)

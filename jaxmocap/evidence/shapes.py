@@ -15,12 +15,41 @@ from jax import Array
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
-from jaxmocap.compilation.arguments import check_kind, check_shape, checked_parts, floating
+from jaxmocap.compilation.arguments import (
+    check_kind,
+    check_settings,
+    check_shape,
+    checked_parts,
+    floating,
+)
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.lenses import LENSES
 
 # What every event must bring; others, such as elbows, may be missing.
 NEEDED = ("markers", "upright", "facing", "ankles")
+
+
+def checked(model: Any, settings: Any, kind: type) -> tuple[Model, Any]:
+    """A model, and settings of a kind in its precision.
+
+    Raises:
+        TypeError: others.
+        ValueError: an array of another shape; several numbers in place of a setting.
+    """
+    model = checked_model(model)
+    check_settings("settings", settings, kind)
+    return model, in_precision(model, settings)
+
+
+def in_precision(model: Model, tree: Any) -> Any:
+    """The floating-point leaves of anything, as precise as the model's."""
+
+    def convert(leaf: Any) -> Any:
+        array = jnp.asarray(leaf)
+        floating = jnp.issubdtype(array.dtype, jnp.floating)
+        return array.astype(model.dtype) if floating else leaf
+
+    return jax.tree.map(convert, tree)
 
 
 def checked_model(model: Any) -> Model:

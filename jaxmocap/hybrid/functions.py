@@ -26,12 +26,18 @@ from jaxmocap.body.arms import Arms, arms_of
 from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract
-from jaxmocap.compilation.arguments import check_kind, check_settings, check_shape
+from jaxmocap.compilation.arguments import check_kind, check_shape
 from jaxmocap.compilation.programs import Program, program
 from jaxmocap.evidence.edges import EdgeFields, WeightedEdges
 from jaxmocap.evidence.markers import Goals
 from jaxmocap.evidence.posture import EasyPosture, NearPose
-from jaxmocap.evidence.shapes import checked_markers, checked_model, checked_pose
+from jaxmocap.evidence.shapes import (
+    checked,
+    checked_markers,
+    checked_model,
+    checked_pose,
+    in_precision,
+)
 from jaxmocap.hybrid import step
 from jaxmocap.hybrid.elbow_search import no_belief
 from jaxmocap.hybrid.feet import FootPlacement, place, replant
@@ -46,7 +52,19 @@ from jaxmocap.smoothing.functions import Events, SmoothMotion, checked_events, s
 
 
 def landmarks(model: Model, pose: Pose) -> Array:
-    """Positions (L, 3) of the ``LANDMARKS``, in their order, world, metres."""
+    """Positions (L, 3) of the ``LANDMARKS``, in their order, world, metres, of the model's dtype.
+
+    Raises:
+        TypeError, ValueError: no pose of this skeleton, or several at once.
+
+    Example:
+        >>> from jaxmocap import LANDMARKS, Model, Skeleton, landmarks
+        >>> from jaxmocap.body.pose import relaxed_pose
+        >>> model = Model.create(Skeleton.human(1.75))
+        >>> points_world = landmarks(model, relaxed_pose(model.skeleton))
+        >>> points_world.shape == (len(LANDMARKS), 3)
+        True
+    """
     model = checked_model(model)
     pose = checked_pose("pose", model, pose)
     return _LANDMARKS(model.skeleton, pose)
@@ -68,10 +86,25 @@ def solve(
     Args:
         model: of the person and M markers.
         settings: ``ik`` of them is read.
-        markers_world: (M, 3) metres; NaN where missing.
+        markers_world: (M, 3) any real numbers or lists of them, world, metres; NaN where missing.
         start: a pose to begin with, whose feet stand; without it the body is placed by the markers.
+
+    Returns:
+        The pelvis in the world, metres and a unit quaternion, and (D,) angles, radians, of the
+        model's dtype.
+
+    Raises:
+        TypeError, ValueError: other markers than the model's (M, 3), several samples at once.
+
+    Example:
+        >>> from jaxmocap import Model, Settings, Skeleton, solve
+        >>> model = Model.create(Skeleton.human(1.75))  # markers: head and both wrists
+        >>> markers_world = [[0, 0, 1.7], [0.3, 0.3, 1.0], [0.3, -0.3, 1.1]]
+        >>> pose = solve(model, Settings(), markers_world)
+        >>> pose.angles.shape
+        (21,)
     """
-    model, settings = _checked(model, settings)
+    model, settings = checked(model, settings, Settings)
     markers = checked_markers(model, markers_world)
     return _solved(model, settings, markers, start and checked_pose("start", model, start))
 
@@ -136,9 +169,18 @@ def observe(
         images: BGR or grey uint8 of each camera, None where there is none; of one camera alone, it.
 
     Raises:
-        ValueError: as many images as cameras are expected.
+        TypeError, ValueError: other than one image a camera, or a pose of another skeleton.
+
+    Example:
+        >>> import numpy as np
+        >>> from jaxmocap import Model, Recording, Settings, observe
+        >>> from jaxmocap.body.pose import relaxed_pose
+        >>> model = Model.of(Recording.load("recording.toml"))
+        >>> settings, pose = Settings(refine="search"), relaxed_pose(model.skeleton)
+        >>> observe(model, settings, pose, np.zeros((480, 640), np.uint8)).elbows.shape
+        (2, 3)
     """
-    model, settings = _checked(model, settings)
+    model, settings = checked(model, settings, Settings)
     pose = checked_pose("pose", model, pose)
     each = [images] if images is None or isinstance(images, np.ndarray) else list(images)
     if len(each) != model.camera_count or model.cameras is None:
@@ -182,9 +224,21 @@ def refine(model: Model, settings: Settings, pose: Pose, observation: Observatio
         model: of the person, the markers and the cameras.
         settings: of the tracker; ``refine`` of them is static.
         pose: of the markers.
-        observation: of ``observe``.
+        observation: of ``observe``, by the same cameras and settings.
+
+    Raises:
+        TypeError, ValueError: a pose of another skeleton, an observation of other cameras.
+
+    Example:
+        >>> from jaxmocap import Model, Recording, Settings, observe, refine
+        >>> from jaxmocap.body.pose import relaxed_pose
+        >>> model = Model.of(Recording.load("recording.toml"))
+        >>> settings, pose = Settings(refine="search"), relaxed_pose(model.skeleton)
+        >>> observation = observe(model, settings, pose, None)
+        >>> refine(model, settings, pose, observation).angles.shape
+        (21,)
     """
-    model, settings = _checked(model, settings)
+    model, settings = checked(model, settings, Settings)
     pose = checked_pose("pose", model, pose)
     if settings.refine == "none" or model.cameras is None:
         return pose
@@ -246,19 +300,27 @@ def smooth(model: Model, settings: Settings, events: Events) -> SmoothMotion:
         model: of the person and the markers.
         settings: of the tracker.
         events: of ``first_pass``, or of one's own arrays.
+
+    Returns:
+        T poses, and (T, L, 3) landmarks, world, metres, of the model's dtype.
+
+    Raises:
+        TypeError, ValueError: fewer than 3 events, or an array without a row for each of them.
+
+    Example:
+        >>> from jaxmocap import Model, Recording, Settings, first_pass, smooth
+        >>> recording = Recording.load("recording.toml")
+        >>> settings = Settings(refine="none")
+        >>> events = first_pass(recording, settings)
+        >>> motion = smooth(Model.of(recording), settings, events)
+        >>> motion.joints()["elbow_r"].shape == (len(events.times), 3)
+        True
     """
-    model, settings = _checked(model, settings)
+    model, settings = checked(model, settings, Settings)
     return _SMOOTH(model, settings.smoothing, checked_events(model, events))
 
 
 _SMOOTH = Program(smooth_events, "smooth", effort="quick")
-
-
-def _checked(model: Any, settings: Any) -> tuple[Model, Settings]:
-    """Both in the model's precision; TypeError or ValueError where they cannot be used."""
-    model = checked_model(model)
-    check_settings("settings", settings, Settings)
-    return model, in_precision(model, settings)
 
 
 def _checked_observation(model: Model, settings: Settings, observation: Any) -> Observation:
@@ -284,14 +346,3 @@ def _arms(model: Model, pose: Pose) -> Arms:
 def _usual(model: Model) -> Array:
     """Usual sizes (6 + D,) of a change of each degree of freedom, metres and radians."""
     return in_precision(model, NearPose()).deviations(model.skeleton)
-
-
-def in_precision(model: Model, tree: Any) -> Any:
-    """The floating-point leaves of anything, as precise as the model's."""
-
-    def convert(leaf: Any) -> Any:
-        array = jnp.asarray(leaf)
-        floating = jnp.issubdtype(array.dtype, jnp.floating)
-        return array.astype(model.dtype) if floating else leaf
-
-    return jax.tree.map(convert, tree)

@@ -42,6 +42,16 @@ def first_pass(
 
     Raises:
         InputError: a video or key points that cannot be used with the recording.
+
+    Returns:
+        T events in the model's dtype: times from the first one on, seconds; world, metres.
+
+    Example:
+        >>> from jaxmocap import Recording, Settings, first_pass
+        >>> recording = Recording.load("recording.toml")
+        >>> events = first_pass(recording, Settings(refine="none"))
+        >>> events.measured["markers"].shape == recording.positions_world.shape
+        True
     """
     opened = open_recording(recording)
     tracker = tracker or make_tracker(opened.recording, settings)

@@ -75,6 +75,13 @@ def track(
 
     Raises:
         InputError: a video or key points that cannot be used with the recording.
+
+    Example:
+        >>> from jaxmocap import Recording, Settings, track
+        >>> recording = Recording.load("recording.toml")
+        >>> motion = track(recording, Settings(refine="none"))  # without the video
+        >>> motion.joints()["elbow_r"].shape == (len(recording.times), 3)  # world, Z up, metres
+        True
     """
     return track_both(recording, settings, mode=mode, progress=progress, tracker=tracker).motion
 
