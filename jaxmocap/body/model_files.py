@@ -13,6 +13,8 @@ from importlib import resources
 from pathlib import Path
 
 HUMAN = "human.toml"
+# Joints that a full set of markers determines beyond those of ``HUMAN``.
+MARKED = "markers.toml"
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ def bodies() -> tuple[str, ...]:
 @cache
 def joints_of_models() -> dict[str, dict]:
     """Joint -> its row, of all files in ``body/data``."""
-    names = [*bodies(), "wrists.toml"]
+    names = [*bodies(), MARKED, "wrists.toml"]
     return {row["name"]: row for name in names for row in _joint_rows(name)}
 
 

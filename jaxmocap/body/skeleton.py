@@ -235,9 +235,15 @@ def with_wrists(skeleton: Skeleton) -> Skeleton:
 
     Three points determine none of these seven: they are for markers with an orientation.
     """
-    rows, dtype = joint_rows("wrists.toml"), skeleton.axes.dtype
-    if has_wrists(skeleton):
+    return with_added_joints(skeleton, joint_rows("wrists.toml"))
+
+
+def with_added_joints(skeleton: Skeleton, rows: list[dict]) -> Skeleton:
+    """The skeleton with more joints after its own, by rows of a body's file; none twice."""
+    rows = [row for row in rows if row["name"] not in skeleton.tree.joints]
+    if not rows:
         return skeleton
+    dtype = skeleton.axes.dtype
     return replace(
         skeleton,
         tree=with_dofs(skeleton.tree, rows, added=True),

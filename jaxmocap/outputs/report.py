@@ -22,6 +22,8 @@ SIDES = ("left", "right")
 # A body whose median error of a marker is larger, metres, has not been tracked: noise, clothes and
 # wrong lengths cause a few centimetres, a wrong axis or a marker on another bone a metre.
 MISFIT_M = 0.25
+# Further off a marker than this, metres, in half of the samples: a warning.
+OFF_M = 0.05
 # OpenCV's packages, of which one is installed.
 _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless")
 
@@ -60,10 +62,12 @@ def summarise(motion: Motion) -> dict:
     return summary | {"versions": versions(), "backend": _backend()}
 
 
-def misfit(motion: Motion) -> str | None:
-    """A warning that the body is far off its markers in most samples; None if it is not.
+def misfit(motion: Motion, least: float = OFF_M) -> str | None:
+    """A warning that the body is far off a marker in half of the samples; None if it is not.
 
-    Such a motion is not that of the person recorded.
+    Args:
+        motion: with or without a report.
+        least: metres; beyond ``MISFIT_M`` the motion is not that of the person recorded.
     """
     if (report := motion.report) is None:
         return None
@@ -73,12 +77,19 @@ def misfit(motion: Motion) -> str | None:
         if len(finite := column[np.isfinite(column)])
     ]
     error, name = max(medians, default=(0.0, ""))
-    if error <= MISFIT_M:
+    if error <= least:
         return None
+    if error > MISFIT_M:
+        return (
+            f"the position error of marker {name!r} is {100 * error:.0f} cm in the median, so the "
+            "body was not tracked: check [markers.on], up or to_world, the unit, and [subject] "
+            "(jaxmocap check)"
+        )
+    off = sorted((each for each in medians if each[0] > least), reverse=True)
+    listed = ", ".join(f"{name} ({100 * each:.0f} cm)" for each, name in off)
     return (
-        f"the position error of marker {name!r} is {100 * error:.0f} cm in the median, so the "
-        "body was not tracked: check [markers.on], up or to_world, the unit, and [subject] "
-        "(jaxmocap check)"
+        f"the body is more than {100 * least:.0f} cm off these markers in half of the samples: "
+        f"{listed}: check their labels and places in [markers]"
     )
 
 

@@ -36,6 +36,8 @@ def summary(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] 
     rows = [("samples", f"{len(motion.times)}, {motion.times[0]:.2f} to {motion.times[-1]:.2f} s")]
     if report is not None:
         rows += _figures(report)
+        if fitted := report.settings.get("fitted"):
+            rows.append(("fitted", fitted))
         counts: dict[str, int] = {}
         for sentence in (line for lines in report.statuses for line in lines):
             counts[sentence] = counts.get(sentence, 0) + 1

@@ -57,6 +57,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from jaxmocap.outputs.report import MISFIT_M
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.summary import figures, misfit, summary
     from jaxmocap.pipelines.tracking.track import choose_settings, track
@@ -74,7 +75,7 @@ def _run(options: argparse.Namespace) -> int:
     files = write_outputs(motion, recording, options.out, settings, True, warnings.append, formats)
     given = motion, files, warnings
     report(options, summary(*given), figures(*given))
-    problem = misfit(motion)
+    problem = misfit(motion, MISFIT_M)
     return exit_code(options, [problem] if problem else [])
 
 

@@ -18,15 +18,15 @@ from jaxmocap.formats.cameras.video_sources import VideoSource, read_videos
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr
 from jaxmocap.formats.files.toml import TomlTable, read_toml, write_toml
-from jaxmocap.formats.marker_sets.sets import SET_KEYS, MarkerSet, read_set
+from jaxmocap.formats.marker_sets.sets import SET_KEYS, MarkerSet
 from jaxmocap.formats.recordings.filters import FILTER_KEYS, Filters, read_filters
 from jaxmocap.formats.recordings.marker_places import (
     MarkerPlace,
     bone_point_positions,
     bone_points,
     need_wrists,
-    read_place,
 )
+from jaxmocap.formats.recordings.placed_markers import PlacedMarkers, placed_markers
 from jaxmocap.formats.recordings.rigid_bodies import with_rigid_sets
 from jaxmocap.formats.recordings.subject import subject_or_default
 from jaxmocap.formats.time_series.axes import read_axes, to_world
@@ -54,6 +54,8 @@ class Recording:
         origin_world: (3,) metres, float64: what was subtracted from the world's coordinates of
             markers and cameras; not zero where they are far from 0, see ``geometry.origin``.
         marker_set: that places markers, and what the file has of it; or None.
+        fit: whether bone lengths and the markers' places are fitted to the markers, where these
+            determine the body.
     """
 
     skeleton: Skeleton
@@ -69,6 +71,7 @@ class Recording:
     filters: Filters = field(default_factory=Filters)
     origin_world: np.ndarray = field(default_factory=lambda: np.zeros(3))
     marker_set: MarkerSet | None = None
+    fit: bool = True
 
     def __post_init__(self):
         """Check that the parts fit, wherever they came from."""
@@ -138,7 +141,8 @@ def load_recording(path: str | Path) -> Recording:
         return _at_local_origin(
             top, Recording(skeleton, *no_markers, videos, path.stem, path, warnings)
         )
-    markers, places, filters, marker_set = _read_placed_markers(top, skeleton)
+    markers, placed, filters = _read_placed_markers(top, skeleton)
+    skeleton, places = placed.skeleton, placed.places
     if need_wrists(places):
         skeleton, warnings = subject_or_default(top, wrists=True)
     is_present = np.isfinite(markers.positions.sum(-1))
@@ -160,7 +164,8 @@ def load_recording(path: str | Path) -> Recording:
         top.path.parent / top.entries["markers"]["file"],
         markers.rate,
         filters,
-        marker_set=marker_set,
+        marker_set=placed.marker_set,
+        fit=_fit(top),
     )
     return _at_local_origin(top, recording)
 
@@ -197,7 +202,8 @@ def load_markers(path: str | Path) -> tuple[Markers, tuple[MarkerPlace, ...]]:
     path = Path(path)
     keys = ("markers", "video", "calibration", "subject")
     top, skeleton = TomlTable(path, "", read_toml(path), keys), Skeleton.human()
-    markers, places, _, _ = _read_placed_markers(top, skeleton)
+    markers, placed, _ = _read_placed_markers(top, skeleton)
+    places = placed.places
     bones = skeleton.tree.bones
     for place in places:
         if place.bone not in bones:
@@ -209,9 +215,9 @@ def load_markers(path: str | Path) -> tuple[Markers, tuple[MarkerPlace, ...]]:
 
 def _read_placed_markers(
     top: TomlTable, skeleton: Skeleton
-) -> tuple[Markers, tuple[MarkerPlace, ...], Filters, MarkerSet | None]:
-    """The markers that are placed in the world's axes, their places, their filters, their set."""
-    keys = ("file", "up", "to_world", *SET_KEYS, "on", "filters", "rigid")
+) -> tuple[Markers, PlacedMarkers, Filters]:
+    """The markers that are placed in the world's axes, where they sit, their filters."""
+    keys = ("file", "up", "to_world", *SET_KEYS, "on", "filters", "rigid", "fit")
     fields = TomlTable(top.path, "[markers]", top.required("markers"), keys)
     file = fields.file("file")
     R_world_file = read_axes(fields)
@@ -226,9 +232,8 @@ def _read_placed_markers(
     filters = read_filters(filter_table)
     all_markers = read_markers(file)
     available = (*all_markers.names, *sets.entries)
-    marker_set = read_set(fields, all_markers.names, skeleton)
-    entries = {**(marker_set.entries if marker_set else {}), **on.entries}
-    places = tuple(read_place(top.path, name, entry) for name, entry in entries.items())
+    placed = placed_markers(fields, on, all_markers.names, skeleton)
+    entries = [place.name for place in placed.places]
     markers = with_rigid_sets(sets, all_markers, entries)
     # A long recording's numbers are not to be in memory thrice.
     del all_markers
@@ -242,7 +247,16 @@ def _read_placed_markers(
     orientations = None if markers.orientations is None else R_world_file @ markers.orientations
     positions_world = to_world(R_world_file, markers.positions)
     markers = replace(markers, positions=positions_world, orientations=orientations)
-    return markers, places, filters, marker_set
+    return markers, placed, filters
+
+
+def _fit(top: TomlTable) -> bool:
+    """``fit`` of [markers]."""
+    fields = TomlTable(top.path, "[markers]", top.entries["markers"])
+    fit = fields.entries.get("fit", True)
+    if not isinstance(fit, bool):
+        raise fields.error("fit", f"found {short_repr(fit)}, expected true or false")
+    return fit
 
 
 def _selected_markers(markers: Markers, names: tuple[str, ...]) -> Markers:

@@ -34,6 +34,7 @@ from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
 from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events, open_all_keypoints
+from jaxmocap.pipelines.tracking.marked import MarkedPass, followed, is_marked
 from jaxmocap.pipelines.tracking.motions import Tracked, gathered, motions, unsmoothed
 from jaxmocap.smoothing.batch import smooth_recording
 from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, DELAY_S, FixedLagSmoother
@@ -104,11 +105,17 @@ def track_both(
     smoother = None
     if smooth and causal:
         smoother = FixedLagSmoother(tracker.model, tracker.settings.smoothing)
+    marked = not (causal and used) and is_marked(tracker)
+    by_markers: MarkedPass | None = None
     in_colour = forward_readers(used, colour=smoother is not None)
     with progress_bar("tracking", progress, "compiling") as show, in_colour as readers:
         # What is smoothed starts from where the search has the elbows.
         stepping = tracker.by_search() if smooth else tracker
-        if causal:
+        if marked:
+            by_markers = followed(events, tracker, show, causal)
+            tracker, first, final = by_markers.tracker, by_markers.first, []
+            opened = opened._replace(recording=by_markers.recording(opened.recording))
+        elif causal:
             first, final = stepped(events, stepping, readers, smoother, show, clock)
         else:
             first, final = scanned(events, stepping, readers, show, clock), []
@@ -127,6 +134,9 @@ def track_both(
         "video_frames": int((events.timeline.frame_index >= 0).any(-1).sum()) if used else 0,
         "seconds": {"first pass": passed - began, "second pass": perf_counter() - passed},
     }
+    if by_markers:
+        figures["fitted"] = by_markers.sentence
+        trajectory = trajectory or by_markers.trajectory
     ended = trajectory or unsmoothed(first)
     return motions(tracker.model, events, first, ended, clock.milliseconds, plain(figures))
 

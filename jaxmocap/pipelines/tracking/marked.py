@@ -1,0 +1,173 @@
+"""A recording whose markers determine the whole body: fitted to them, and followed by them.
+
+    some samples ── poses ── lengths and places with them ── poses of all samples
+
+INPUTS: a HybridTracker, RecordingEvents. OUTPUTS: the tracker with the fitted model; a first pass
+and its trajectory with deviations.
+"""
+
+from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.marked_joints import determine_body
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose
+from jaxmocap.fitting.marker_fit import (
+    FAR_TAILS,
+    FIT_PERSON,
+    FIT_POSES,
+    TAILS,
+    PosesFit,
+    fitted_model,
+)
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.hybrid.refine import StepReport
+from jaxmocap.hybrid.step import PLACE
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.pipelines.tracking.events import RecordingEvents
+from jaxmocap.smoothing.problem import FirstPass, Trajectory
+
+# Samples that lengths and places are fitted to; from each of them the poses are followed on.
+SAMPLES = 64
+# A sample has this share of the markers at least that the fullest one has.
+FULL_SHARE = 0.9
+# Called with the events done and their total.
+Show = Callable[[int, int], None]
+
+
+class MarkedPass(NamedTuple):
+    """What the markers determined.
+
+    Attributes:
+        tracker: with the model as fitted.
+        first: poses of all events.
+        trajectory: the same with deviations.
+        sentence: what was fitted, for the report; "" where nothing was.
+    """
+
+    tracker: HybridTracker
+    first: FirstPass
+    trajectory: Trajectory
+    sentence: str
+
+    def recording(self, recording: Recording) -> Recording:
+        """The recording with the body and the places as fitted."""
+        model = self.tracker.model
+        offsets = np.asarray(model.markers.offsets, float).tolist()
+        places = [
+            replace(place, offset=tuple(offset))
+            for place, offset in zip(recording.places, offsets, strict=True)
+        ]
+        return replace(recording, skeleton=model.skeleton, places=tuple(places))
+
+
+def is_marked(tracker: HybridTracker) -> bool:
+    """Whether the markers determine the whole body; never by the first paper's way."""
+    return tracker.settings.smooth and determine_body(tracker.model.skeleton, tracker.model.markers)
+
+
+def followed(
+    events: RecordingEvents, tracker: HybridTracker, show: Show, causal: bool = False
+) -> MarkedPass:
+    """Fit lengths and places where the recording wants it, and follow the markers.
+
+    Args:
+        events: of the recording.
+        tracker: of its person and markers.
+        show: called with the events done and their total.
+        causal: nothing is fitted by later samples, and each event goes on from the one before.
+    """
+    markers = np.asarray(events.markers_world, tracker.model.dtype)
+    chosen = np.zeros(1, int) if causal else _spread(markers)
+    model, sentence = tracker.model, ""
+    fit = _far(tracker, markers[chosen])
+    if events.recording.fit and not causal:
+        before = fit
+        person = FIT_PERSON(model, fit.poses, markers[chosen])
+        model = fitted_model(model, jax.tree.map(jnp.asarray, person.person))
+        fit = FIT_POSES(model, person.poses, markers[chosen], _tails(model, TAILS))
+        sentence = _sentence(markers[chosen], before, fit)
+    other = copy(tracker)
+    other.model = model
+    poses, variances = _along(model, markers, chosen, fit.poses, show)
+    first = _first_pass(events, other, poses)
+    deviations = np.sqrt(variances)
+    trajectory = Trajectory(
+        poses, np.zeros(0), deviations=deviations, from_prior=np.zeros(deviations.shape[:2])
+    )
+    return MarkedPass(other, first, trajectory, sentence)
+
+
+def _spread(markers: np.ndarray) -> np.ndarray:
+    """Events (K,), ascending, spread over those of (E, M, 3) that have nearly all markers."""
+    present = np.isfinite(markers).all(-1).sum(1)
+    full = np.flatnonzero(present >= FULL_SHARE * present.max())
+    return full[np.linspace(0, len(full) - 1, SAMPLES).astype(int)]
+
+
+def _far(tracker: HybridTracker, markers: np.ndarray) -> PosesFit:
+    """Poses (K, ...) of markers (K, M, 3), from the relaxed one placed by them."""
+    model = tracker.model
+    placed = [PLACE(model, tracker.settings, each).pose for each in markers]
+    start = jax.tree.map(lambda *each: np.stack(each), *placed)
+    near = FIT_POSES(model, start, markers, _tails(model, FAR_TAILS))
+    return FIT_POSES(model, near.poses, markers, _tails(model, TAILS))
+
+
+def _tails(model: Model, tails: float) -> np.ndarray:
+    return np.asarray(tails, model.dtype)
+
+
+def _along(
+    model: Model, markers: np.ndarray, chosen: np.ndarray, poses: Pose, show: Show
+) -> tuple[Pose, np.ndarray]:
+    """Poses (E, ...) and landmarks' variances (E, L, 3), from each chosen event on."""
+    count, ends = len(markers), [*chosen[1:], len(markers)]
+    lanes = [np.arange(first, max(end, first + 1)) for first, end in zip(chosen, ends, strict=True)]
+    lanes[0] = np.concatenate([np.arange(chosen[0])[::-1], lanes[0]])
+    parts: Any = None
+    for step in range(max(map(len, lanes))):
+        now = np.array([lane[min(step, len(lane) - 1)] for lane in lanes])
+        fit = FIT_POSES(model, poses, markers[now], _tails(model, TAILS))
+        poses = fit.poses
+        found = jax.tree.map(np.asarray, (fit.poses, fit.variances))
+        if parts is None:
+            parts = jax.tree.map(lambda part: np.zeros((count, *part.shape[1:]), part.dtype), found)
+        for whole, part in zip(jax.tree.leaves(parts), jax.tree.leaves(found), strict=True):
+            whole[now] = part
+        show(min((step + 1) * len(lanes), count), count)
+    return parts
+
+
+def _sentence(markers: np.ndarray, before: PosesFit, after: PosesFit) -> str:
+    samples, count = markers.shape[:2]
+    return (
+        f"bone lengths and the places of {count} markers, to {samples} samples: off by "
+        f"{100 * _off(before):.1f} cm before, {100 * _off(after):.1f} cm after (median)"
+    )
+
+
+def _off(fit: PosesFit) -> float:
+    return float(np.nanmedian(np.asarray(fit.distances)))
+
+
+def _first_pass(events: RecordingEvents, tracker: HybridTracker, poses: Pose) -> FirstPass:
+    """A first pass with these poses and nothing of the video."""
+    line, dtype = events.timeline, tracker.model.dtype
+    count, markers = np.shape(events.markers_world)[:2]
+    errors = np.full((count, markers), np.nan, dtype)
+    none, unknown = np.zeros(count, bool), np.full((count, 2), np.nan, dtype)
+    reports = StepReport(
+        poses, errors, unknown, np.zeros((count, 2), dtype), unknown,
+        np.zeros(count, np.int32), none, none, none, np.zeros(count, np.int32),
+    )  # fmt: skip
+    about: list[list[str]] = [[] for _ in range(count)]
+    return FirstPass(
+        line.event_times, events.markers_world, line.frame_index, poses, reports, about
+    )

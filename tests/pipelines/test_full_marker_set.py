@@ -1,0 +1,110 @@
+"""A full set of markers: the body is fitted to them, follows the trunk's turn, and ± follows."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmocap.body.kinematics import forward, landmarks, site_positions
+from jaxmocap.body.model import marker_sites
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.formats.recordings.recording import load_recording
+from jaxmocap.formats.time_series.trc import write_trc
+from jaxmocap.outputs.report import misfit
+from jaxmocap.pipelines.summary import summary
+from jaxmocap.pipelines.tracking.track import track
+
+SET = '[markers]\nfile = "markers.trc"\nset = "plug-in-gait"\n'
+SUBJECT = "[subject]\nheight = 1.7\n"
+
+
+@pytest.fixture(scope="module")
+def twisted(tmp_path_factory):
+    """Somebody of another build, markers 1.5 cm elsewhere, who twists the trunk and swings arms."""
+    folder = tmp_path_factory.mktemp("twisted")
+    labels = labels_of_set()
+    times = np.arange(160) / 50
+    write_trc(folder / "markers.trc", times, {label: np.ones((160, 3)) for label in labels})
+    (folder / "recording.toml").write_text(SET + SUBJECT)
+    stated = load_recording(folder / "recording.toml")
+    random = np.random.default_rng(3)
+    skeleton = replace(stated.skeleton, lengths=stated.skeleton.lengths * 1.04)
+    sites = marker_sites(skeleton, stated.places)
+    shift = 0.015 * random.normal(size=(len(stated.places), 3)) / np.sqrt(3)
+    sites = replace(sites, offsets=sites.offsets + jnp.asarray(shift, sites.offsets.dtype))
+    angles = np.tile(np.asarray(skeleton.relaxed), (160, 1))
+    swing = np.sin(2 * np.pi * times / 1.6)
+    for joint, degrees in (
+        ("spine2_rotation", 35), ("arm_flex_l", 40), ("arm_flex_r", -40), ("knee_flexion_l", 10),
+        ("elbow_flex_l", 20), ("elbow_flex_r", 20), ("neck_rotation", 30),
+    ):  # fmt: skip
+        angles[:, skeleton.tree.joint(joint)] += np.radians(degrees) * swing
+    still = np.tile([0.0, 0.0, 0.95], (160, 1)), np.tile([1.0, 0.0, 0.0, 0.0], (160, 1))
+    poses = Pose(*(jnp.asarray(part, float) for part in (*still, angles)))
+    seen = jax.jit(jax.vmap(lambda pose: site_positions(skeleton, forward(skeleton, pose), sites)))
+    markers = np.array(seen(poses)) + 0.001 * random.normal(size=(160, len(stated.places), 3))
+    truth = np.asarray(jax.jit(jax.vmap(lambda pose: landmarks(skeleton, pose)))(poses))
+    markers[20:30, 5] = np.nan
+    names = [place.name for place in stated.places]
+    left, right = names.index("LWRA"), names.index("RWRA")
+    markers[40:43, [left, right]] = markers[40:43, [right, left]]
+    points = {name: markers[:, i] for i, name in enumerate(names)}
+    write_trc(folder / "markers.trc", times, points)
+    return folder, truth
+
+
+def labels_of_set() -> list[str]:
+    from jaxmocap.formats.marker_sets.sets import set_file
+
+    return list(set_file("plug-in-gait")[0])
+
+
+@pytest.fixture(scope="module")
+def tracked(twisted):
+    return track(load_recording(twisted[0] / "recording.toml"))
+
+
+def test_a_full_set_is_met_and_the_sentence_says_what_was_fitted(tracked):
+    errors = tracked.report.marker_errors
+    assert np.nanmean(errors) < 0.01 and np.nanmedian(errors, 0).max() < 0.02
+    assert "fitted" in summary(tracked) and "30 markers" in tracked.report.settings["fitted"]
+    assert misfit(tracked) is None
+
+
+def test_the_joints_follow_a_twisted_trunk_and_their_deviations_follow_from_the_markers(
+    tracked, twisted
+):
+    points = np.stack([tracked.joints()[name] for name in LANDMARKS], 1)
+    limbs = [
+        LANDMARKS.index(f"{joint}_{side}")
+        for joint in ("shoulder", "elbow", "wrist", "knee", "ankle")
+        for side in "lr"
+    ]
+    apart = np.linalg.norm(points - twisted[1], axis=-1)[:, limbs]
+    assert apart.mean() < 0.03
+    twist = np.degrees(tracked.poses.angles[:, tracked.skeleton.tree.joint("spine2_rotation")])
+    assert 25 < twist.max() < 45 and -45 < twist.min() < -25
+    assert np.nanmedian(tracked.report.elbow_deviations) < 0.04
+
+
+def test_without_fit_places_and_lengths_stay_as_stated(twisted):
+    folder, _ = twisted
+    text = SET.replace("[markers]", "[markers]\nfit = false") + SUBJECT
+    (folder / "unfitted.toml").write_text(text)
+    recording = load_recording(folder / "unfitted.toml")
+    motion = track(recording)
+    assert np.array_equal(motion.skeleton.lengths, recording.skeleton.lengths)
+    assert not motion.report.settings["fitted"]
+
+
+def test_few_markers_leave_the_body_as_it_is(tmp_path):
+    points = {name: np.ones((3, 3)) for name in ("Head", "L", "R")}
+    write_trc(tmp_path / "markers.trc", np.arange(3) / 50, points)
+    on = 'Head = { bone = "head" }\nL = { bone = "radius_l" }\nR = { bone = "radius_r" }\n'
+    text = f'[markers]\nfile = "markers.trc"\n[markers.on]\n{on}{SUBJECT}'
+    (tmp_path / "recording.toml").write_text(text)
+    joints = load_recording(tmp_path / "recording.toml").skeleton.tree.joints
+    assert joints == Skeleton.human(1.7).tree.joints
