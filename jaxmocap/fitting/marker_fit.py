@@ -51,7 +51,7 @@ STEPS, DAMPING, EASED, RAISED = 30, 1e-2, 0.2, 8.0
 RELATIVE = 1e-4
 
 
-class Person(NamedTuple):
+class MarkedPerson(NamedTuple):
     """What all samples share.
 
     Attributes:
@@ -88,7 +88,7 @@ class PersonFit(NamedTuple):
         cost: () of all.
     """
 
-    person: Person
+    person: MarkedPerson
     poses: Pose
     cost: Array
 
@@ -109,16 +109,16 @@ class _Linear(NamedTuple):
     frames: Frames
 
 
-def fitted_model(model: Model, person: Person) -> Model:
+def fitted_model(model: Model, person: MarkedPerson) -> Model:
     """The model with a person's lengths and offsets."""
     sites = replace(model.markers, offsets=model.markers.offsets + person.shifts)
     return replace(model, skeleton=scaled(model.skeleton, person.lengths), markers=sites)
 
 
-def unchanged(model: Model) -> Person:
+def unchanged(model: Model) -> MarkedPerson:
     """The person whom the model states."""
     markers = len(model.markers.bone_indices)
-    return Person(jnp.zeros(len(LENGTHS), model.dtype), jnp.zeros((markers, 3), model.dtype))
+    return MarkedPerson(jnp.zeros(len(LENGTHS), model.dtype), jnp.zeros((markers, 3), model.dtype))
 
 
 def fit_poses(model: Model, start: Pose, targets: Array, tails: Array | float) -> PosesFit:
@@ -261,7 +261,7 @@ def _precision(model: Model) -> np.ndarray:
     return np.linalg.inv(covariance_among_people(len(LENGTHS))).astype(model.dtype)
 
 
-def _cost_of_all(model: Model, targets: Array, place: tuple[Person, Pose]) -> Array:
+def _cost_of_all(model: Model, targets: Array, place: tuple[MarkedPerson, Pose]) -> Array:
     person, poses = place
     own = jax.vmap(partial(_cost, fitted_model(model, person)), (0, None, 0))(targets, TAILS, poses)
     shared = person.lengths @ _precision(model) @ person.lengths
@@ -269,8 +269,8 @@ def _cost_of_all(model: Model, targets: Array, place: tuple[Person, Pose]) -> Ar
 
 
 def _joint_step(
-    model: Model, targets: Array, place: tuple[Person, Pose], damping: Array
-) -> tuple[Person, Pose]:
+    model: Model, targets: Array, place: tuple[MarkedPerson, Pose], damping: Array
+) -> tuple[MarkedPerson, Pose]:
     """The next place: poses eliminated, what is shared solved for, poses found again."""
     person, poses = place
     there, count = fitted_model(model, person), len(LENGTHS)
@@ -300,15 +300,15 @@ def _joint_step(
         "kis,s->ki", eliminated[..., :-1], step, precision=HIGHEST
     )
     lengths, shifts = step[:count], step[count:].reshape(-1, 3)
-    moved = Person(person.lengths + lengths, person.shifts + shifts)
+    moved = MarkedPerson(person.lengths + lengths, person.shifts + shifts)
     return moved, jax.vmap(retract)(poses, moves)
 
 
-def _by_person(model: Model, person: Person, linear: _Linear, pose: Pose) -> Array:
+def _by_person(model: Model, person: MarkedPerson, linear: _Linear, pose: Pose) -> Array:
     """Derivatives (M, 3, P + 3 M) of the markers' points by what is shared."""
 
     def points(lengths: Array) -> Array:
-        there = fitted_model(model, Person(lengths, person.shifts))
+        there = fitted_model(model, MarkedPerson(lengths, person.shifts))
         return site_positions(there.skeleton, forward(there.skeleton, pose), there.markers)
 
     by_length = jax.jacfwd(points)(person.lengths)

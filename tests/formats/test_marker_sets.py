@@ -1,7 +1,6 @@
 """Sets of markers: a recording in three lines, and what is wrong with those lines."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -129,13 +128,13 @@ def serve_by_three_lines(recordings, folder):
 
 def test_three_lines_place_the_markers_of_a_recorded_serve(recordings, tmp_path):
     serve = serve_by_three_lines(recordings, tmp_path)
-    assert len(serve.places) == 24 and serve.marker_set and not serve.marker_set.missing
+    assert len(serve.places) == 30 and serve.marker_set and not serve.marker_set.missing
     assert np.isfinite(serve.positions_world).mean() > 0.95
 
 
 @pytest.mark.slow
-def test_a_recorded_serve_is_tracked_by_three_lines(recordings, tmp_path):
-    whole, part = serve_by_three_lines(recordings, tmp_path), slice(0, 60)
-    serve = replace(whole, times=whole.times[part], positions_world=whole.positions_world[part])
-    report = track(serve).report
-    assert report is not None and np.nanmean(report.marker_errors) < 0.03
+def test_every_marker_of_a_recorded_serve_is_met(recordings, tmp_path):
+    report = track(serve_by_three_lines(recordings, tmp_path)).report
+    assert report is not None
+    assert np.nanmean(report.marker_errors, 0).max() < 0.03
+    assert np.nanpercentile(report.marker_errors, 95, axis=0).max() < 0.06

@@ -18,6 +18,7 @@ from jaxmocap.formats.cameras.video_sources import VideoSource, read_videos
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr
 from jaxmocap.formats.files.toml import TomlTable, read_toml, write_toml
+from jaxmocap.formats.marker_sets.placed_markers import PlacedMarkers, placed_markers
 from jaxmocap.formats.marker_sets.sets import SET_KEYS, MarkerSet
 from jaxmocap.formats.recordings.filters import FILTER_KEYS, Filters, read_filters
 from jaxmocap.formats.recordings.marker_places import (
@@ -26,7 +27,6 @@ from jaxmocap.formats.recordings.marker_places import (
     bone_points,
     need_wrists,
 )
-from jaxmocap.formats.recordings.placed_markers import PlacedMarkers, placed_markers
 from jaxmocap.formats.recordings.rigid_bodies import with_rigid_sets
 from jaxmocap.formats.recordings.subject import subject_or_default
 from jaxmocap.formats.time_series.axes import read_axes, to_world

@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.marked_joints import determine_body
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.fitting.marker_fit import (
@@ -26,6 +25,7 @@ from jaxmocap.fitting.marker_fit import (
     PosesFit,
     fitted_model,
 )
+from jaxmocap.formats.marker_sets.marked_joints import determine_body
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.step import PLACE
@@ -163,10 +163,11 @@ def _first_pass(events: RecordingEvents, tracker: HybridTracker, poses: Pose) ->
     count, markers = np.shape(events.markers_world)[:2]
     errors = np.full((count, markers), np.nan, dtype)
     none, unknown = np.zeros(count, bool), np.full((count, 2), np.nan, dtype)
-    reports = StepReport(
+    each: tuple[Any, ...] = (
         poses, errors, unknown, np.zeros((count, 2), dtype), unknown,
         np.zeros(count, np.int32), none, none, none, np.zeros(count, np.int32),
     )  # fmt: skip
+    reports = StepReport(*each)
     about: list[list[str]] = [[] for _ in range(count)]
     return FirstPass(
         line.event_times, events.markers_world, line.frame_index, poses, reports, about

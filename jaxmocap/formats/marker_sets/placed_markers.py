@@ -6,10 +6,10 @@ INPUTS: [markers], [markers.on], the labels of the marker file. OUTPUTS: PlacedM
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from jaxmocap.body.marked_joints import with_marked_joints
 from jaxmocap.body.model_files import MARKED, joint_rows
 from jaxmocap.body.skeleton import Skeleton, with_added_joints
 from jaxmocap.formats.files.toml import TomlTable
+from jaxmocap.formats.marker_sets.marked_joints import with_marked_joints
 from jaxmocap.formats.marker_sets.sets import MarkerSet, read_set
 from jaxmocap.formats.recordings.marker_places import MarkerPlace, read_place
 
