@@ -68,6 +68,7 @@ def tracked(twisted):
 
 
 def test_a_full_set_is_met_and_the_sentence_says_what_was_fitted(tracked):
+    assert tracked.report is not None
     errors = tracked.report.marker_errors
     assert np.nanmean(errors) < 0.01 and np.nanmedian(errors, 0).max() < 0.02
     assert "fitted" in summary(tracked) and "30 markers" in tracked.report.settings["fitted"]
@@ -97,7 +98,7 @@ def test_without_fit_places_and_lengths_stay_as_stated(twisted):
     recording = load_recording(folder / "unfitted.toml")
     motion = track(recording)
     assert np.array_equal(motion.skeleton.lengths, recording.skeleton.lengths)
-    assert not motion.report.settings["fitted"]
+    assert motion.report is not None and not motion.report.settings["fitted"]
 
 
 def test_few_markers_leave_the_body_as_it_is(tmp_path):
