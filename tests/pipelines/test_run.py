@@ -33,6 +33,7 @@ from jaxmocap.geometry.cameras import turned
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import EVENTS
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.outputs.report import MISFIT_M
 from jaxmocap.pipelines.summary import figures, frames_per_second, misfit, summary
 from jaxmocap.pipelines.tracking import warnings
 from jaxmocap.pipelines.tracking.track import choose_settings, make_tracker, track, track_both
@@ -470,11 +471,17 @@ def test_a_body_far_off_its_markers_is_reported(tracked):
     assert misfit(lost) == figures(lost)["misfit"] and misfit(lost).startswith(sentence)
 
 
-@pytest.mark.parametrize(("metres", "share"), [(0.0, 0.0), (0.2, 1.0), (1.59, 0.4), (np.nan, 1.0)])
+@pytest.mark.parametrize(("metres", "share"), [(0.0, 0.0), (0.04, 1.0), (1.59, 0.4), (np.nan, 1.0)])
 def test_a_body_near_its_markers_most_of_the_time_is_not(tracked, metres, share):
     motion = off_by(tracked.motion, metres, share)
     assert misfit(motion) is None and figures(motion)["misfit"] is None
     assert "in the median" not in summary(motion)
+
+
+def test_a_marker_that_is_off_in_half_of_the_samples_is_named(tracked):
+    motion = off_by(tracked.motion, 0.2, 0.8)
+    assert "half of the samples: Head (20 cm)" in summary(motion)
+    assert misfit(motion, MISFIT_M) is None
 
 
 # Judging -----------------------------------------------------------------------------------------
