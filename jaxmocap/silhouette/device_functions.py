@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
@@ -73,10 +72,3 @@ def fit(
 def velocity_between(before: Pose, now: Pose, between: Array) -> Array:
     """(6 + D,) metres and radians per second from one pose to another, seconds later."""
     return difference(now, before) / between
-
-
-@jax.jit
-def landmark_jacobian(skeleton: Skeleton, pose: Pose) -> Array:
-    """(L, 3, 6 + D) derivatives of the landmarks by the tangent vector of ``retract``."""
-    rest = jnp.zeros_like(skeleton.costs)
-    return jax.jacfwd(lambda step: landmarks(skeleton, retract(pose, step)))(rest)

@@ -4,7 +4,7 @@ A first pass learns the backgrounds, frame by frame, where the person is not, an
 shape; the next ones begin with both, and with where the pass before them found each limb.
 
 INPUTS: a tracker, a first pose, frames as often as they are asked for.
-OUTPUTS: a PassResult; the poses that suit all frames together; the landmarks' standard deviations.
+OUTPUTS: a PassResult; the poses that suit all frames together.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -16,10 +16,8 @@ import jax
 import numpy as np
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.surfaces.parts import determined_landmarks
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.device_functions import landmark_jacobian
 from jaxmocap.silhouette.recovery.withdrawal import slim
 from jaxmocap.silhouette.segmentation.background_models import BackgroundLearner, OnlineBackground
 from jaxmocap.silhouette.smoothing import FrameInformation, smoothed_poses
@@ -114,24 +112,6 @@ class PassResult:
             self.body.shape.skeleton, constants.rest_deviations, constants.finder.morph,
         )  # fmt: skip
         return smoothed_poses(skeleton, np.array(self.times), information, rest, how, morph)
-
-    def landmark_deviations(self, constants: TrackerConstants) -> np.ndarray:
-        """(F, L, 3) standard deviations of the landmarks, metres, by what the pairs determine.
-
-        NaN of those that the body does not move.
-        """
-        every = zip(self.estimates, self.reports, strict=True)
-        unknown = constants.settings.unknown_deviation
-        result = np.stack([self._landmarks(each.pose, report, unknown) for each, report in every])
-        result[:, ~determined_landmarks(self.body.shape.skeleton.tree)] = np.nan
-        return result
-
-    def _landmarks(self, pose: Pose, report: StepReport, unknown: float) -> np.ndarray:
-        """(L, 3) metres, of one frame."""
-        H = np.asarray(report.information, float)
-        covariance = np.linalg.inv((H + H.T) / 2 + np.eye(len(H)) / unknown**2)
-        J = np.asarray(landmark_jacobian(self.body.shape.skeleton, pose), float)
-        return np.sqrt(np.einsum("lai,ij,laj->la", J, covariance, J))
 
 
 class CameraFrame(NamedTuple):

@@ -20,6 +20,7 @@ INPUTS: a tracker's steps: markers, images, poses, reports. OUTPUTS: smoothed po
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,10 +28,9 @@ from jax import Array
 from threadpoolctl import ThreadpoolController
 
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, pack, retract, unpack
+from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearance
 from jaxmocap.smoothing.facing import RunningFacing
 from jaxmocap.smoothing.settings import SmoothingSettings
@@ -42,6 +42,7 @@ from jaxmocap.smoothing.window.events import (
     WindowEvent,
     any_image,
     expected_at,
+    moved_near_markers,
     offsets,
 )
 from jaxmocap.smoothing.window.sliding import SOFTNESS, Window, stacked
@@ -55,8 +56,10 @@ DELAY_S = 0.1
 KEPT_FRAMES = 3
 # for so many seconds at most.
 KEPT_S = 0.2
-# Events that wait for the next video frame before the window is solved without one.
+# Events that wait for the next video frame before the window is solved without one,
 MOST_WAITING = 6
+# and where no event of the window has one: nothing more is to come.
+MOST_WAITING_UNSEEN = 2
 # Deviations are found at one video frame in so many, and hold until the next one.
 SURE_EVERY = 5
 # Deviation of an elbow from which the tracker's own opinion is asked for, metres.
@@ -65,8 +68,6 @@ UNSURE_M = 0.045
 FADE_S = 0.07
 # Events farther apart are no motion, seconds.
 LONGEST_GAP_S = 0.25
-# Velocities are taken from events at least so far apart, seconds.
-BASELINE_S = 0.005
 
 
 class SmoothedPose(NamedTuple):
@@ -89,12 +90,6 @@ class SmoothedPose(NamedTuple):
     from_prior: np.ndarray
 
 
-@program("quick")
-def _retract(pose: Array, step: Array) -> Array:
-    """A packed pose (7 + D,) moved by a tangent vector."""
-    return pack(retract(unpack(pose), step))
-
-
 class FixedLagSmoother:
     """Smooths one person's poses, at most ``DELAY_FRAMES`` video frames behind the tracker."""
 
@@ -108,6 +103,7 @@ class FixedLagSmoother:
         if not model.camera_count:
             raise ValueError("FixedLagSmoother needs a model with at least one camera")
         self.model, self.settings = model, settings
+        self._person = replace(model, cameras=None)
         self._window = Window(model, settings)
         self._appearances = [
             RunningAppearance(model.skeleton, camera, model.no_foot_is_marked)
@@ -124,8 +120,8 @@ class FixedLagSmoother:
         self._marker_pose: np.ndarray | None = None
         self._facing = RunningFacing()
         self._fading: Fading | None = None
-        # Number, time and pose of the event given out last, and of one beside it.
-        self._last_given: list[tuple[int, float, Pose]] = []
+        # Number and pose of the event given out last.
+        self._last_given: tuple[int, Pose] | None = None
         self._waiting: list[ReportedStep] = []
         self._frames_since_sure, self._sure = SURE_EVERY, None
 
@@ -168,7 +164,8 @@ class FixedLagSmoother:
         if last is not None and (bool(report.placed) or time - last > LONGEST_GAP_S):
             final += self.flush()
         self._waiting.append(ReportedStep(float(time), markers_world, images, pose, report))
-        if len(self._waiting) < MOST_WAITING and not self._waiting[-1].has_image:
+        most = MOST_WAITING if self._is_seen else MOST_WAITING_UNSEEN
+        if len(self._waiting) < most and not self._waiting[-1].has_image:
             return final
         return final + self._settle(final=False)
 
@@ -182,6 +179,12 @@ class FixedLagSmoother:
         """Of the last step of this motion, seconds."""
         steps = [*self._window.events[-1:], *self._waiting[-1:]]
         return steps[-1].time if steps else None
+
+    @property
+    def _is_seen(self) -> bool:
+        """Whether a camera shows an event that can still change."""
+        waiting = any(step.has_image for step in self._waiting)
+        return waiting or any(event.frames for event in self._window.events)
 
     def _gather(self) -> None:
         """The steps that wait, with the poses that are expected there and what cameras saw."""
@@ -253,8 +256,8 @@ class FixedLagSmoother:
             SmoothedPose(event.number, event.time, self._faded(event), deviations, from_prior)
             for event in (events[i] for i in ready)
         ]
-        self._keep_last(ready[-1])
-        self._given = given[-1].number + 1
+        last = events[ready[-1]]
+        self._last_given, self._given = (last.number, last.pose), last.number + 1
         return given
 
     def _deviations(self, newest: int) -> tuple[np.ndarray, np.ndarray]:
@@ -269,6 +272,7 @@ class FixedLagSmoother:
     def _due(self, final: bool) -> list[int]:
         """Which events of the window have waited long enough."""
         events, later, due = self._window.events, 0, []
+        final = final or not self._is_seen
         for i in reversed(range(len(events))):
             waited = events[-1].time - events[i].time
             if final or later >= DELAY_FRAMES or waited >= DELAY_S:
@@ -279,13 +283,11 @@ class FixedLagSmoother:
     def _correct(self) -> None:
         """Carry on what the track has moved by behind what was given out last."""
         now = {event.number: event.pose for event in self._window.events}
-        kept = [old for old in self._last_given if old[0] in now]
-        if self._fading is None or len(kept) < 2:
+        if self._fading is None or self._last_given is None or self._last_given[0] not in now:
             return
-        (_, time, _), (_, beside, _) = kept
-        ours = stacked(now[number] for number, *_ in kept)
-        here, there = offsets(stacked(pose for *_, pose in kept), ours)
-        self._fading = self._fading.corrected(here, (there - here) / (beside - time))
+        number, pose = self._last_given
+        (offset,) = offsets(stacked([pose]), stacked([now[number]]))
+        self._fading = self._fading.corrected(offset)
 
     def _faded(self, event: WindowEvent) -> Pose:
         """An event's pose, and what is left of corrections."""
@@ -293,17 +295,9 @@ class FixedLagSmoother:
             nothing = np.zeros(ROOT_DOF + len(event.pose.angles))
             self._fading = Fading(nothing, nothing, event.time)
         self._fading = self._fading.at(event.time, FADE_S)
-        offset = self._fading.offset.astype(self.model.dtype)
-        moved = np.asarray(_retract(np.concatenate(event.pose), offset))
-        return unpack(moved)
-
-    def _keep_last(self, last: int) -> None:
-        """The event given out last and one beside it, as they are now."""
-        events = self._window.events
-        here = events[last]
-        beside = [*events[last + 1 :], *reversed(events[:last])]
-        far = [event for event in beside if abs(event.time - here.time) >= BASELINE_S]
-        self._last_given = [(e.number, e.time, e.pose) for e in (here, *far[:1])]
+        offset, pose = self._fading.offset.astype(self.model.dtype), np.concatenate(event.pose)
+        held = np.isfinite(event.measured["markers"]).all(-1)
+        return unpack(np.asarray(moved_near_markers(self._person, pose, offset, held)))
 
     def _shorten(self, solved: WindowEquations) -> None:
         """Condense the oldest events: the newest few video frames stay, and what still waits."""

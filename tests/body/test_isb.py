@@ -14,7 +14,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.orientations import body_turns
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, with_wrists
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.conversion.resampling import even_times, resampled_motion
 from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError

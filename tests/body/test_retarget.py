@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.fitting.retarget import feet, grounded, retargeted
 from jaxmocap.formats.motion_npz import load_motion, save_motion
 

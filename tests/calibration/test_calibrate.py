@@ -17,7 +17,7 @@ from jaxmocap.calibration.board.opencv_lenses import LensKind
 from jaxmocap.calibration.calibrate import calibrate_camera
 from jaxmocap.calibration.intrinsics import BoardView, estimate_intrinsics
 from jaxmocap.calibration.view_coverage import image_coverage, intrinsics_warnings
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.cameras.calibration import Intrinsics, read_intrinsics
 
 PARAMETERS = LensKind().parameters

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.extrinsics import board_to_world, estimate_placement, position_world_of
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.cameras.calibration import read_calibration, read_intrinsics, write_camera
 
 CAMERA = ["--camera", "cam"]

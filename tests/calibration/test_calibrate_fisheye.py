@@ -22,7 +22,7 @@ from jaxmocap.calibration.board.opencv_lenses import (
 from jaxmocap.calibration.extrinsics import board_to_world
 from jaxmocap.calibration.intrinsics import BoardView, estimate_intrinsics
 from jaxmocap.calibration.planar_poses import candidate_poses
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.cameras.calibration import read_calibration, read_intrinsics
 from jaxmocap.geometry.lenses import FISHEYE
 

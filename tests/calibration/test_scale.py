@@ -9,7 +9,7 @@ import pytest
 from jaxmocap import Recording
 from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton, with_wrists
 from jaxmocap.calibration.static_trial import scale_by_static
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.recordings.subject import read_subject, write_subject

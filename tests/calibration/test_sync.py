@@ -14,7 +14,7 @@ from jaxmocap.calibration import sync as synced
 from jaxmocap.calibration.hand_flow import MAX_SIDE_PX, HandFlow, MarkerPath, flow_fields
 from jaxmocap.calibration.sync import StretchLag, combine_lags, estimate_video_offsets, hand_paths
 from jaxmocap.capture.checks.cameras import project_to_pixels
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.synthetic.drawing_camera import look_at

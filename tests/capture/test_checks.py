@@ -20,7 +20,7 @@ from jaxmocap.capture.checks.body_reach import (
 )
 from jaxmocap.capture.checks.cameras import check_recording, project_to_pixels
 from jaxmocap.capture.footage import open_footage
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.formats.time_series.markers import read_markers

@@ -129,6 +129,15 @@ def test_slimevr_is_one_sample_a_bundle():
     assert not +taken.socket.ignored
 
 
+def test_devices_that_come_scaled_only_are_explained_where_they_are_wanted_as_tracked():
+    """SlimeVR sends no ``Pos/Local``, with which ``raw = true`` waits for ever."""
+    taken = Taken(raw=True)
+    taken.give(0.0, [programs.slimevr_vmc(devices(0), 7.0)])
+    states = dict(stream_states(taken.socket, taken.assembler, (), 0.1))
+    taken.done()
+    assert "leave out 'raw' in [osc]" in states["scaled packets ignored"]
+
+
 def test_slimevrs_newer_server_sends_no_devices_by_vmc():
     taken = Taken()
     for frame in range(FRAMES):

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from small_recording import SAMPLES, write_small_recording
 
-from jaxmocap import cli
-from jaxmocap.cli import COMMANDS, GROUPS, main
+from jaxmocap.cli import program as cli
+from jaxmocap.cli.program import COMMANDS, GROUPS, main
 from jaxmocap.formats.files.errors import InputError, OutputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.time_series.trc import write_trc
@@ -153,7 +153,7 @@ def test_every_kind_of_a_command_helps_with_an_example(group, kind, capsys):
 
 def test_help_loads_neither_jax_nor_opencv():
     check = (
-        "import sys\nfrom jaxmocap.cli import main\n"
+        "import sys\nfrom jaxmocap.cli.program import main\n"
         "try: main(['--help'])\nexcept SystemExit: pass\n"
         "print([m for m in ('jax', 'cv2', 'av', 'rerun') if m in sys.modules])"
     )
@@ -419,7 +419,7 @@ def track(*_, **__):
     os.kill(os.getpid(), signal.SIGTERM)
     raise AssertionError("went on")
 recording.track = track
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -431,3 +431,18 @@ def test_sigterm_is_one_sentence_143_and_outputs_as_they_were(folder):
     assert (done.returncode, done.stderr) == (143, "jaxmocap track: terminated\n")
     assert (folder / "out" / "joints.trc").read_text() == "earlier"
     assert not [path for path in (folder / "out").iterdir() if path.name.startswith(".")]
+
+
+def test_ctrl_c_while_commands_are_imported_is_one_line():
+    code = (
+        "import sys\n"
+        "class Interrupting:\n"
+        "    def find_spec(self, name, *others):\n"
+        "        if name == 'jaxmocap.cli.setup':\n"
+        "            raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupting())\n"
+        "from jaxmocap.cli import enter\n"
+        "enter()\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (130, "jaxmocap: interrupted\n")

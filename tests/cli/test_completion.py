@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from jaxmocap.cli import COMMANDS, GROUPS, main, make_parser
 from jaxmocap.cli.completion import SHELLS, completion_script
+from jaxmocap.cli.program import COMMANDS, GROUPS, main, make_parser
 from jaxmocap.cli.recording_options import REFINEMENTS
 
 BASH = shutil.which("bash")

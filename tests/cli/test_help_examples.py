@@ -17,7 +17,7 @@ from held_devices import DEVICES, pivoting
 from small_recording import write_small_recording
 
 from jaxmocap.calibration.extrinsics import board_to_world
-from jaxmocap.cli import COMMANDS, GROUPS, main
+from jaxmocap.cli.program import COMMANDS, GROUPS, main
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.trc import read_trc, write_trc

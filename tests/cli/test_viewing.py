@@ -17,7 +17,7 @@ import rerun.blueprint as rrb
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import Tree
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.outputs import live_view
 from jaxmocap.outputs.layout import SERIES, lay_out

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_recording import SAMPLES, small_recording, with_frames
 
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines import warmup
 from jaxmocap.pipelines.warmup import CompilationCounts, counting_compilations, first_half_second

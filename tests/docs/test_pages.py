@@ -13,7 +13,7 @@ import pytest
 from documented_files import write_files_named_by
 
 import jaxmocap
-from jaxmocap.cli import main, make_parser
+from jaxmocap.cli.program import main, make_parser
 from jaxmocap.cli.topics import TOPICS
 from jaxmocap.formats.recordings.live import load_live
 from jaxmocap.formats.recordings.recording import Recording

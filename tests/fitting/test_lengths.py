@@ -24,7 +24,7 @@ from jaxmocap.body.proportions import (
     scaled,
 )
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, project_limbs
 from jaxmocap.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.formats.recordings.recording import write_recording

@@ -212,7 +212,7 @@ def test_what_is_no_file_is_refused_before_anything_is_read(tmp_path, kind):
 # From here on nothing more can be written to a file than so many bytes.
 FULL = """
 import resource, sys
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 most = int(sys.argv[1])
 resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 sys.exit(main(["convert", *sys.argv[2:]]))

@@ -27,7 +27,7 @@ from calibrations_of_others import (
 )
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.cli import main, make_parser
+from jaxmocap.cli.program import main, make_parser
 from jaxmocap.formats.calibrations.registry import R_WORLD_OF_SOURCE_UP, convert_calibration
 from jaxmocap.formats.cameras.calibration import read_calibration
 from jaxmocap.formats.files.errors import InputError

@@ -12,7 +12,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.orientations import local_turns
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.evaluation.errors import evaluate_directory
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.formats.animation.bvh_in import read_bvh

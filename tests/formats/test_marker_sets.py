@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxmocap.body.skeleton import Skeleton, with_joints, with_wrists
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.formats.marker_sets.sets import read_set, set_file, set_names

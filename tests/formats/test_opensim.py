@@ -12,7 +12,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.orientations import body_turns, matrices
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, with_joints, with_wrists
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.evaluation.errors import evaluate_directory
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import save_motion

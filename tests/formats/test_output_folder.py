@@ -196,7 +196,7 @@ def test_what_is_read_is_not_written(tmp_path):
 
 FULL = """
 import resource, sys
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), resource.RLIM_INFINITY))
 sys.exit(main(sys.argv[2:]))
 """

@@ -60,7 +60,7 @@ def _ran(question: dict) -> dict:
 
 
 def _exit_code(arguments: list[str]) -> int:
-    from jaxmocap.cli import main as command
+    from jaxmocap.cli.program import main as command
 
     with warnings.catch_warnings():
         warnings.simplefilter("always")

@@ -24,7 +24,7 @@ import jaxmocap.pipelines.live.loop
 from jaxmocap import Recording
 from jaxmocap.capture.streams import cameras
 from jaxmocap.capture.video import open_video
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.files.errors import InputError, OutputError
 from jaxmocap.outputs.senders.osc import Bundle

@@ -226,6 +226,21 @@ def test_smoothing_waits_for_frames_no_longer_than_a_moment(tracking):
     assert live.late_events == 1
 
 
+@pytest.mark.parametrize("smooth", [False, True])
+def test_without_a_camera_elbows_are_by_markers_alone_and_nothing_waits_for_it(tracking, smooth):
+    live = tracking(smooth)
+    seen, late = [], []
+    for i in range(180):
+        each = live.sample(sample(i / 90))
+        if i < 90 and i % 3 == 2:
+            each += live.frames([frame(i / 90 - 0.001, delay=0.001)])
+        seen += [np.isfinite(output.deviations).all() for output in each if 0.3 < output.time < 1]
+        late += [output for output in each if output.time > 1.35]
+    assert all(seen) and np.isnan([output.deviations for output in late]).all()
+    # Each sample's pose comes with the sample.
+    assert [output.time for output in late][-1] == 179 / 90
+
+
 def test_markers_go_through_the_one_euro_filter_where_that_is_asked_for(tracking):
     rng = np.random.default_rng(0)
     jitter = rng.normal(0, 0.002, (90, 3, 3))

@@ -12,7 +12,7 @@ from bench.anthropometry import MeasuredPerson
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.capture.photographs import png_of
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.cameras.calibration import read_calibration, write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines.silhouettes.person import read_person

@@ -20,7 +20,7 @@ from small_recording import SAMPLES, write_small_recording
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import ELBOWS
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import load_motion

@@ -9,7 +9,7 @@ from small_recording import CAMERA, small_recording, write_small_recording
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.checks.markers import check_markers
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.cameras.calibration import write_camera
 from jaxmocap.formats.convert import convert_file
 from jaxmocap.formats.motion_npz import load_motion

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper
 from small_recording import FRAMES, SIZE, write_small_recording
 
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.recordings.keypoints import read_keypoints
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.crops import cropped

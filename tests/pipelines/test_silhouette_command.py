@@ -5,7 +5,7 @@ import pytest
 from test_point_rays import ring
 
 from jaxmocap.body.skeleton import with_joints
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, write_recording

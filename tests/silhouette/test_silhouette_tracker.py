@@ -10,7 +10,7 @@ from test_rim import BODY, ring
 from jaxmocap.body.pose import relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.canvases import full_mask, silhouette_distance

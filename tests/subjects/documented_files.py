@@ -10,7 +10,7 @@ from small_recording import CAMERA, FRAMES, VIDEO_RATE, image
 from jaxmocap.body.kinematics import forward, landmarks
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.cli import main
+from jaxmocap.cli.program import main
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.marker_sets.sets import set_file
 from jaxmocap.formats.time_series.c3d import write_c3d

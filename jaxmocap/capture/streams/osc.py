@@ -69,7 +69,8 @@ class Packet(NamedTuple):
         markers: its markers; none where it is about something else.
         stamp: the sender's seconds, or None where it does not say.
         is_bundle: whether it is a bundle, which holds all that belongs together.
-        ignored: why messages about markers are ignored: "malformed", "absurd"; each once.
+        ignored: why messages about markers are ignored: "malformed", "absurd", and "scaled" where
+            devices come scaled to an avatar only, and are wanted as tracked; each once.
     """
 
     markers: tuple[MarkerMessage, ...]
@@ -90,10 +91,12 @@ def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
     """
     markers: list[MarkerMessage] = []
     stamp, ignored, budget = None, set[str](), MAX_MARKER_MESSAGES
+    has_scaled = False
     for message in _messages(datagram, MAX_DEPTH):
         address = message[: max(message.find(b"\0"), 0)]
         read = _reader(address, raw)
         if read is None and address != _TIME:
+            has_scaled |= raw and address.startswith(_DEVICES) and address.endswith(b"/Pos")
             continue
         budget -= 1
         if budget < 0:
@@ -105,6 +108,8 @@ def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
                 markers.append(read(message, address))
         except BadPacketError as why:
             ignored.add(str(why))
+    if has_scaled and not markers:
+        ignored.add("scaled")
     is_bundle = datagram.startswith(_BUNDLE)
     stamp = _time_tag(datagram) if stamp is None and is_bundle else stamp
     return Packet(tuple(markers), stamp, is_bundle, tuple(sorted(ignored)))

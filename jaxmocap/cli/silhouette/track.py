@@ -23,7 +23,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         metavar="X,Y,FACING",
         type=place_and_facing,
         help="where the person stands upright at first, metres, and faces, degrees from x towards "
-        "y; default: from the recording's markers",
+        "y, in the calibration's world; a foot or a mark on the floor tells ('jaxmocap help "
+        "silhouettes'); default: from the recording's markers",
     )
     _add_passes(parser)
     parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")

@@ -10,8 +10,8 @@ from typing import Any
 
 # Characters that one value may take in a message.
 MAX_CHARACTERS = 60
-# Names that a message lists.
-MAX_LISTED = 20
+# Names that a message lists: all of a full set of markers.
+MAX_LISTED = 60
 
 
 class _Short(reprlib.Repr):

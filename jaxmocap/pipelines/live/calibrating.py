@@ -46,6 +46,8 @@ STILL_M = 0.015
 STILL_DEG = 4.0
 # Seconds that the devices are waited for, and that somebody may take to stand still.
 PATIENCE_S = 30.0
+# Seconds between lines while devices are waited for.
+WAITING_LINE_S = 5.0
 # Seconds between looks at the samples.
 POLL_S = 0.1
 _DECIMALS = {"height": 3, "length": 4, "turn": 4, "offset": 4}
@@ -132,8 +134,15 @@ class _Listening:
     def wait_for_devices(self) -> bool:
         """Wait until every device has come, or the first ones have for some seconds."""
         until = self.now() + PATIENCE_S
-        missing = set(self._setup.marker_names)
+        missing, next_line = set(self._setup.marker_names), 1.0
         while missing and self.now() < until:
+            if self.now() >= next_line:
+                next_line += WAITING_LINE_S
+                self._status.log(
+                    self.now(),
+                    f"waiting for {comma_list(sorted(missing))}, {until - self.now():.0f} s more"
+                    f"{self._others()}",
+                )
             if self._stop.wait(POLL_S):
                 return False
             missing = set(self._setup.marker_names) - self._recent_names()

@@ -37,7 +37,7 @@ from jaxmocap.outputs.senders.vmc import VMC
 from jaxmocap.outputs.senders.vrchat import Trackers
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.status import LiveStatus
-from jaxmocap.pipelines.live.stream_states import SILENT_S, stream_states
+from jaxmocap.pipelines.live.stream_states import SILENT_S, WHY_IGNORED, stream_states
 from jaxmocap.pipelines.live.tracking import LiveTracking, Output
 
 # Samples in the queue, at most: a tenth of a second of a headset's. Where more arrive than can be
@@ -47,10 +47,13 @@ LONGEST_QUEUE = 8
 HEARTBEAT_S = 0.25
 # Seconds after which Python switches threads: its default of 5 ms would add to a sample's latency.
 THREAD_SWITCH_S = 5e-4
-# While programs compile; the times are those of a first run on two cores.
-COMPILING_FIRST = "compiling, about 10 s on a first run; what comes in until then is not tracked"
-COMPILING_VIDEO = "poses come from the markers alone; compiling for the video, about 20 s more"
-COMPILING_REST = "poses come; compiling the rest"
+# While programs are made ready; the times are those of a first run on two cores.
+COMPILING_FIRST = (
+    "getting ready (a first run compiles for about 10 s, later ones do not); what comes in until "
+    "then is not tracked"
+)
+COMPILING_VIDEO = "poses come from the markers alone until the video's part is ready"
+COMPILING_REST = "poses come; getting the rest ready"
 
 
 class Live:
@@ -267,6 +270,8 @@ class Live:
         """Why the run received or recorded nothing, or not all."""
         if self._socket.last_arrival is None:
             reason = f": {self._socket.problem}" if self._socket.problem else ""
+            if self._socket.ignored["scaled"]:
+                reason += WHY_IGNORED["scaled"]
             yield f"no marker came in at {self.address}{reason}"
         if self.recording is not None and self.recording.problem:
             yield self.recording.problem

@@ -78,6 +78,7 @@ def run_live(
             raise Terminated if stop.terminated else KeyboardInterrupt
         setup = _load(path, out, status)
     with ExitStack() as ending:
+        status.log(0.0, "starting the tracker")
         viewer = _viewer(setup, view, status, ending) if view else None
         live = Live(
             setup, settings or Settings(), smooth=smooth, out=out, viewer=viewer, status=status

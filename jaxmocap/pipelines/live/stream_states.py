@@ -16,6 +16,10 @@ from jaxmocap.formats.recordings.marker_places import MarkerPlace
 
 # A stream that received nothing for so many seconds is silent; no pose is sent then.
 SILENT_S = 0.3
+# Reason -> what to do about it.
+WHY_IGNORED = {
+    "scaled": "; devices come as .../Pos without .../Pos/Local: leave out 'raw' in [osc]",
+}
 
 
 def stream_states(
@@ -42,8 +46,8 @@ def stream_states(
     for why, count in list(markers.ignored.items()):
         # Who sends markers sends bones, expressions and settings as well: that is worth a line only
         # while no marker comes.
-        if count and not (why == "foreign" and markers.last_arrival is not None):
-            yield f"{why} packets ignored", tenfold(count)
+        if count and not (why in ("foreign", "scaled") and markers.last_arrival is not None):
+            yield f"{why} packets ignored", f"{tenfold(count)}{WHY_IGNORED.get(why, '')}"
     if markers.refused_hosts:
         hosts = comma_list(sorted(markers.refused_hosts.copy()))
         yield "strangers", f"{hosts}; [osc] from = [...] lists who may send"

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jax import Array
 
 from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import marker_sites
@@ -36,6 +37,8 @@ from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
 
 # With smoothing a sample waits so many seconds for frames that are older than it.
 REORDERING_S = 0.1
+# Without a frame of any camera for so many seconds, poses are the markers' alone.
+UNSEEN_S = 0.3
 # Tracking begins at the first sample with all markers, or after so many with those there are.
 MOST_INCOMPLETE_SAMPLES = 45
 
@@ -46,7 +49,8 @@ class Output(NamedTuple):
     Attributes:
         time: of its sample, seconds.
         pose: of the person.
-        deviations: (2,) standard deviations of the elbows, metres; NaN where unknown.
+        deviations: (2,) standard deviations of the elbows, metres; NaN where unknown, and where
+            no camera brought a frame within ``UNSEEN_S``.
         arrived: when its sample was received, seconds on the same clock.
     """
 
@@ -128,6 +132,8 @@ class LiveTracking:
         self.placements = self.late_events = 0
         self._state: State | None = None
         self._samples_waited, self._last = 0, -np.inf
+        # When the newest frame was taken, and when it came.
+        self._last_frame = self._last_frame_arrived = -np.inf
         points = len(self.tracker.model.markers.bones)
         self._recent_markers = RecentMarkers(points)
         self._filtered = None if self._filter is None else self._filter.init(points)
@@ -189,16 +195,19 @@ class LiveTracking:
             self._state = self.tracker.init(sample.positions_world)
         if not self.is_ready:
             pose, _ = self._taken(self.tracker.solve(self._state, self._with_gaps_filled(sample)))
-            return [Output(sample.time, pose, np.full(2, np.nan), sample.arrived)]
+            return [self._output(sample.time, pose, np.full(2, np.nan), sample.arrived)]
         if self._smoother is not None:
             return self._in_order([sample])
         pose, report = self._step(sample.time, self._with_gaps_filled(sample), None)
-        return [Output(sample.time, pose, np.asarray(report.elbow_deviations), sample.arrived)]
+        return [self._output(sample.time, pose, report.elbow_deviations, sample.arrived)]
 
     def frames(self, frames: Sequence[LiveFrame]) -> list[Output]:
         """Take frames, the newest of their cameras; the poses to be sent now."""
         if self._state is None or self.tracker.model.cameras is None or not self.is_ready:
             return []
+        for frame in frames:
+            self._last_frame = max(self._last_frame, frame.time)
+            self._last_frame_arrived = max(self._last_frame_arrived, frame.arrived)
         if self._smoother is not None:
             return self._in_order(frames)
         for frame in frames:
@@ -243,8 +252,12 @@ class LiveTracking:
         """Hold events until no older one is expected, then smooth them in order."""
         self._pending = sorted([*self._pending, *new], key=lambda event: event.time)
         newest = max(event.arrived for event in self._pending)
+        # Cameras have as long to begin.
+        if not np.isfinite(self._last_frame_arrived):
+            self._last_frame_arrived = newest
         frame_times = [event.time for event in self._pending if isinstance(event, LiveFrame)]
-        return self._release(max([newest - REORDERING_S, *frame_times]))
+        waited = REORDERING_S if newest - self._last_frame_arrived < UNSEEN_S else 0.0
+        return self._release(max([newest - waited, *frame_times]))
 
     def _release(self, until: float) -> list[Output]:
         outputs = []
@@ -280,5 +293,12 @@ class LiveTracking:
             arrived = self._arrivals.popleft()[1]
             if arrived is not None:
                 spread = np.sqrt(np.sum(each.deviations[ELBOWS] ** 2, -1))
-                outputs.append(Output(each.time, each.pose, spread, arrived))
+                outputs.append(self._output(each.time, each.pose, spread, arrived))
         return outputs
+
+    def _output(
+        self, time: float, pose: Pose, deviations: Array | np.ndarray, arrived: float
+    ) -> Output:
+        """An output, its deviations unknown where no camera has seen the person of late."""
+        is_seen = time - self._last_frame < UNSEEN_S
+        return Output(time, pose, np.where(is_seen, deviations, np.nan), arrived)

@@ -227,13 +227,13 @@ def _report(
     """How well each frame's pose is determined, and its warnings."""
     count = len(result.times)
     none = np.full((count, 2), np.nan)
-    deviations = result.landmark_deviations(constants)
-    unknown = np.full((count, len(LANDMARKS)), np.nan)
+    # What the outlines alone say of their own scatter is far less than the errors.
+    deviations = np.full((count, len(LANDMARKS), 3), np.nan)
     joints = result.body.shape.skeleton.tree.joints
     statuses = tuple(_warnings(report, names, joints) for report in result.reports)
     milliseconds = {"frame": np.array(result.milliseconds)}
     return Report(
-        (), np.zeros((count, 0)), none, none, deviations, unknown, statuses,
+        (), np.zeros((count, 0)), none, none, deviations, deviations[..., 0], statuses,
         milliseconds, settings,
     )  # fmt: skip
 

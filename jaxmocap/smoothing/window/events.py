@@ -12,23 +12,35 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.kinematics import forward, jacobian, landmarks, site_positions
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.packing import packed, unpacked
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.running import MeasuredFrame
 from jaxmocap.evidence.ground import ANKLES
+from jaxmocap.evidence.markers import are_present, off_targets
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.smoothing.window.equations import LinearEvent
+from jaxmocap.solvers.sdls import clamp_lengths, damped_step
 
 # Of what an ``Expected`` holds beside the pose.
 _EXPECTED_SHAPES = np.empty(2), np.empty(2), np.empty((2, 3))
 # Events per call, so that they compile once.
 EXPECTED_A_CALL = 4
 MOVED_A_CALL = 8
+# Corrections that fade in leave markers no farther from their points than this, metres: at an
+# orientation's lever two degrees.
+STRAY_M = 0.004
+# Steps that bring points back, and their damping, metres: enough for a stretched arm.
+HOLDING_STEPS = 3
+HOLDING_DAMPING = 0.03
+# Pelvis and trunk follow so many times less than the limbs.
+TRUNK_STIFFNESS = 10.0
 
 
 class StepReported(Protocol):
@@ -148,6 +160,44 @@ def _moved(skeleton: Skeleton, poses: Array, steps: Array) -> tuple[Array, Array
     there = retract(unpack(poses), steps)
     points = jax.vmap(landmarks, (None, 0))(skeleton, there)
     return pack(there), jnp.reshape(points, (len(points), -1))
+
+
+@program("quick")
+def moved_near_markers(model: Model, pose: Array, offset: Array, held: Array) -> Array:
+    """A packed pose (7 + D,) moved by a tangent vector, its markers' points hardly.
+
+    Args:
+        model: M markers, D degrees of freedom.
+        pose: packed.
+        offset: (6 + D,) to move it by.
+        held: (M,) whether a marker's point stays within ``STRAY_M`` of where the pose has it.
+    """
+    own, there = (
+        site_positions(model.skeleton, forward(model.skeleton, each), model.markers)
+        for each in (unpack(pose), retract(unpack(pose), offset))
+    )
+    goals = own + clamp_lengths(there - own, STRAY_M)
+    goals = jnp.where(held[:, None], goals, jnp.nan)
+    return pack(on_markers(model, retract(unpack(pose), offset), goals))
+
+
+def on_markers(model: Model, pose: Pose, markers_world: Array) -> Pose:
+    """A pose moved as little as brings its points to markers (M, 3); NaN where one is missing."""
+    skeleton, sites = model.skeleton, model.markers
+    trunk = [group == "spine" for group in skeleton.tree.groups_of_joints]
+    is_trunk = np.r_[np.ones(ROOT_DOF, bool), trunk]
+    stiff = jnp.where(is_trunk, TRUNK_STIFFNESS, jnp.ones_like(skeleton.costs))
+
+    def step(_: int, pose: Pose) -> Pose:
+        frames = forward(skeleton, pose)
+        points = site_positions(skeleton, frames, sites)
+        present = are_present(markers_world)[:, None, None]
+        J = jnp.where(present, jacobian(skeleton, frames, sites.bones, points) / stiff, 0.0)
+        back = -off_targets(points, markers_world)
+        J = J.reshape(-1, J.shape[-1])
+        return retract(pose, damped_step(J, back.ravel(), HOLDING_DAMPING) / stiff)
+
+    return jax.lax.fori_loop(0, HOLDING_STEPS, step, pose)
 
 
 @dataclass

@@ -47,6 +47,9 @@ RIVAL_EVERY = 2
 RIVAL_STEPS = 3
 # Share of the events' own curvature that holds them back.
 DAMPING = 1e-3
+# Most steps of a solve; one is enough where the derivatives misplace no landmark by more, metres.
+MOST_STEPS = 3
+LINEAR_M = 0.005
 # Events per call, so that they compile once.
 EVENTS_A_CALL = 16
 # A silhouette's quadratic holds while no landmark moves farther than this, metres: about half a
@@ -122,6 +125,11 @@ class Window:
         if len(self.events) <= REACH:
             return self._equations()
         equations = self._rival() or self._equations()
+        for _ in range(MOST_STEPS - 1):
+            if self._move(equations.steps(DAMPING)) < LINEAR_M:
+                return equations
+            self._linearise()
+            equations = self._equations()
         self._move(equations.steps(DAMPING))
         return equations
 
@@ -204,8 +212,12 @@ class Window:
         )
         return SilhouetteQuadratic(points, float(cost), hessian, gradient, 0 * gradient)
 
-    def _move(self, steps: np.ndarray) -> None:
-        """All events by steps (T, N); what is no longer near where it was drawn is drawn again."""
+    def _move(self, steps: np.ndarray) -> float:
+        """All events by steps (T, N); what is no longer near where it was drawn is drawn again.
+
+        Returns:
+            By how much the derivatives misplace any landmark, metres.
+        """
         origins = np.stack([_linear(event).pose for event in self.events])
         poses, points = moved(self._model.skeleton, origins, steps)
         for event, pose, there, step in zip(self.events, poses, points, steps, strict=True):
@@ -214,6 +226,8 @@ class Window:
             if drawn and np.abs(there - drawn.points).max() > NEAR_M:
                 new = self._drawn(event, pose, there)
                 linear.silhouettes = new and new._replace(step=step)
+        expected = [_linear(e).points_at(step) for e, step in zip(self.events, steps, strict=True)]
+        return float(np.abs(points - np.stack(expected)).max())
 
     def _rival(self) -> WindowEquations | None:
         """The equations of a window that starts from the tracker's poses, where that costs less.
