@@ -2,7 +2,8 @@
 
 Each new solve moves what lies behind a little. What was given out cannot be moved any more, so the
 difference to it is carried on and dies out as a critically damped spring does. Its speed is not:
-that of the newest poses, which later frames still correct, threw heads off by 45 degrees. Where the solves agree nothing is added: a motion that is tracked right is not delayed.
+that of the newest poses, which later frames still correct, threw heads off by 45 degrees. Where the
+solves agree nothing is added: a motion that is tracked right is not delayed.
 
 INPUTS: corrections, times. OUTPUTS: what is left of them.
 """

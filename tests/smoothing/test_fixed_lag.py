@@ -25,12 +25,12 @@ from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.window import sliding
-from jaxmocap.smoothing.window.events import STRAY_M, moved_near_markers
 from jaxmocap.smoothing.window.equations import (
     LinearEvent,
     SilhouetteQuadratic,
     window_equations,
 )
+from jaxmocap.smoothing.window.events import STRAY_M, moved_near_markers
 from jaxmocap.solvers.fading import Fading
 
 COUNT = 24
