@@ -96,7 +96,7 @@ def here(monkeypatch, tracked):
         for job in jobs:
             yield cluster.JobResult(job, function(job), None)
 
-    def written(motion, recording, folder, settings):
+    def written(motion, recording, folder, settings, progress):
         write_report(folder / "report.json", motion)
 
     class Nobody:
@@ -106,7 +106,7 @@ def here(monkeypatch, tracked):
 
     monkeypatch.setattr(batch, "cluster_client", Nobody)
     monkeypatch.setattr(batch, "results_as_completed", each_done)
-    monkeypatch.setattr(batch, "track", lambda recording, settings, mode: tracked)
+    monkeypatch.setattr(batch, "track", lambda recording, settings, mode, progress: tracked)
     monkeypatch.setattr(batch, "write_tracked", written)
 
 
