@@ -11,6 +11,7 @@ import os
 import socket
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic, sleep
@@ -40,13 +41,17 @@ class Viewer(NamedTuple):
     url: str
     page: str | None
 
-    def until_interrupted(self) -> None:
+    def until_interrupted(self, announce: Callable[[], None]) -> None:
         """Wait for the viewer to end, or for Ctrl-C; whatever comes, the viewer has then ended.
 
         SIGTERM and what else is raised meanwhile goes on.
+
+        Args:
+            announce: called first, to say where it is open; Ctrl-C ends it, too.
         """
         try:
             with suppress(KeyboardInterrupt):
+                announce()
                 self.process.wait()
         finally:
             self.end()

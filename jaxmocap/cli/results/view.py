@@ -32,9 +32,12 @@ def _run(options: argparse.Namespace) -> None:
         return
     viewer = serve_page(path, options.port)
     figures = {"recording": str(path), "page": viewer.page}
-    report(options, f"{path}\nat {viewer.page}\nuntil Ctrl-C", figures)
-    sys.stdout.flush()
-    viewer.until_interrupted()
+
+    def announce() -> None:
+        report(options, f"{path}\nat {viewer.page}\nuntil Ctrl-C", figures)
+        sys.stdout.flush()
+
+    viewer.until_interrupted(announce)
 
 
 COMMAND = Command(
