@@ -245,10 +245,10 @@ def test_a_viewer_has_ended_whatever_ended_the_wait_for_it(monkeypatch, raised):
 
     monkeypatch.setattr(viewer.process, "wait", interrupted)
     if raised is KeyboardInterrupt:
-        viewer.until_interrupted()
+        viewer.until_interrupted(lambda: None)
     else:
         with pytest.raises(raised):
-            viewer.until_interrupted()
+            viewer.until_interrupted(lambda: None)
     assert viewer.process.returncode == -signal.SIGTERM and not viewer.is_open
 
 
