@@ -10,7 +10,7 @@ from typing import Any
 from jaxmocap.calibration.static_trial import measured_bones
 from jaxmocap.capture.checks.body_reach import skeleton_stature
 from jaxmocap.capture.checks.cameras import MarkerVisibility, check_recording, marker_visibility
-from jaxmocap.capture.checks.markers import Finding
+from jaxmocap.capture.checks.finding import Finding
 from jaxmocap.capture.footage import open_unchecked
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.files.errors import InputError

@@ -19,6 +19,7 @@ from jaxmocap.capture.checks.body_reach import (
     standing_points,
 )
 from jaxmocap.capture.checks.cameras import check_recording, project_to_pixels
+from jaxmocap.capture.checks.markers import check_markers
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
@@ -235,6 +236,41 @@ def test_left_and_right_exchanged_is_a_warning(sound, five):
     assert "left-handed" not in finding.sentence, "the ankles are not"
     (finding,) = check_recording(exchanged(five, (1, 2), (3, 4)), VIDEO_TIMES)
     assert "ankle_l and ankle_r" in finding.sentence and "left-handed" in finding.sentence
+
+
+@pytest.fixture(scope="module")
+def walkers(recordings) -> list[Recording]:
+    """Real people who walk to and fro; their hands swing beside them."""
+    files = sorted((recordings / "people").glob("person_*/recording_*_height.toml"))
+    return [Recording.load(file) for file in files]
+
+
+def checks_of(recording: Recording) -> set[str]:
+    return {finding.check for finding in check_markers(recording)}
+
+
+def test_walking_shows_which_side_is_left(walkers):
+    for walker in walkers:
+        assert not checks_of(walker)
+        assert checks_of(exchanged(walker, (1, 2))) == {"left and right"}
+        mirrored = replace(walker, positions_world=walker.positions_world * [1, -1, 1])
+        assert checks_of(mirrored) == {"left and right"}
+    (finding,) = check_markers(exchanged(walkers[0], (1, 2)))
+    assert "of the way is walked backwards; left and right are exchanged" in finding.sentence
+
+
+@pytest.mark.parametrize("pair", [(0, 1), (0, 2)])
+def test_a_head_stated_as_a_hand_is_a_warning(walkers, recordings, sound, pair):
+    lab = Recording.load(recordings / "balancing" / "recording_cam_01.toml")
+    for recording in (*walkers, lab, sound):
+        assert checks_of(exchanged(recording, pair)) & {"exchanged", "reach"}
+    findings = {finding.check: finding for finding in check_markers(exchanged(sound, pair))}
+    finding = findings["exchanged"]
+    names = [sound.marker_names[i] for i in pair]
+    assert finding.sentence.startswith(
+        f"[markers.on] {names[0]} and {names[1]}: {names[1]} is above"
+    )
+    assert not finding.fatal
 
 
 def test_a_mirror_image_that_leaves_the_picture_is_recognised(sound):

@@ -11,12 +11,9 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.capture.checks.body_reach import standing_points
-from jaxmocap.capture.checks.markers import (
-    MIN_AGREEING_SHARE,
-    Finding,
-    check_markers,
-    facing_of_pairs,
-)
+from jaxmocap.capture.checks.finding import Finding
+from jaxmocap.capture.checks.markers import check_markers
+from jaxmocap.capture.checks.sides import facing_of_pairs
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.geometry.cameras import (
@@ -184,7 +181,7 @@ def _other_axes(recording: Recording, camera: Camera) -> tuple[str, float, bool]
         image. Where several do as well, it is a mirror image if left and right fit it.
     """
     facing = facing_of_pairs(recording)
-    expected = bool(facing) and all(share <= 1 - MIN_AGREEING_SHARE for _, share, _ in facing)
+    expected = bool(facing) and all(each.is_exchanged for each in facing)
     positions = recording.positions_world.reshape(-1, 3)
     positions = positions[np.isfinite(positions).all(-1)]
     options = []

@@ -7,7 +7,6 @@ or room might explain it.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,8 @@ from jaxmocap.capture.checks.body_reach import (
     skeleton_stature,
     standing_points,
 )
+from jaxmocap.capture.checks.finding import Finding
+from jaxmocap.capture.checks.sides import check_heights, check_sides
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.origin import local_origin
@@ -43,6 +44,8 @@ RATE_TOLERANCE = 0.02
 # How much of a standing person's differences of height the markers show along an axis: 1 for a
 # person who stands along it; raised hands leave half of it. From here on an axis may be upright.
 UPRIGHT_SHARE = 0.4
+# Heights that differ by less on somebody who stands, metres, show no axis.
+MIN_HEIGHTS_M = 0.2
 # The vertical axis must show more than this share of what another axis shows.
 STANDS_RATIO = 0.6
 # The markers' mean height along an upright axis, as shares of a standing person's.
@@ -52,27 +55,6 @@ LEVEL_RANGE = (0.6, 1.8)
 INVERTED_SHARE = 0.75
 # A world of a continent's size: no place on the Earth's maps is farther from their origin.
 MAX_COORDINATE_M = 1e7
-# Hands this far before (or behind) the head show where the front is, metres,
-MIN_HANDS_AHEAD_M = 0.2
-# if they are there in this share of the samples,
-MIN_AGREEING_SHARE = 0.8
-# and the recording is long enough for a habit to show, seconds.
-MIN_DURATION_S = 3.0
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something that is wrong with a recording.
-
-    Attributes:
-        check: which check found it.
-        sentence: the field, what was found there, and what to change.
-        fatal: whether tracking would be nonsense.
-    """
-
-    check: str
-    sentence: str
-    fatal: bool = False
 
 
 def check_markers(recording: Recording) -> list[Finding]:
@@ -88,7 +70,8 @@ def check_markers(recording: Recording) -> list[Finding]:
         *findings,
         *_check_origin(recording),
         *_check_up(recording),
-        *_check_sides(recording),
+        *check_sides(recording),
+        *check_heights(recording),
         *_check_reach(recording),
     ]
 
@@ -205,7 +188,7 @@ def _complete_samples(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 def _check_up(recording: Recording) -> Iterator[Finding]:
     kept, positions = _complete_samples(recording)
     heights = standing_points(recording.skeleton, recording.places)[kept, 2]
-    if not len(positions) or len(kept) < 2 or np.ptp(heights) < MIN_HANDS_AHEAD_M:
+    if not len(positions) or len(kept) < 2 or np.ptp(heights) < MIN_HEIGHTS_M:
         return
     centred = heights - heights.mean()
     shares = np.median(np.einsum("tma,m->ta", positions, centred), 0) / (centred @ centred)
@@ -243,68 +226,6 @@ def _upside_down(share: float, is_certain: bool) -> Finding:
         f"standing person's heights){unless}, the file's axis points down or an axis is mirrored: "
         "state to_world in place of up",
         fatal=is_certain,
-    )
-
-
-def left_right_pairs(recording: Recording) -> list[tuple[int, int]]:
-    """Markers at the same place of the left and the right side."""
-    places = {(place.bone, place.at): i for i, place in enumerate(recording.places)}
-    return [
-        (i, places[bone[:-2] + "_r", at])
-        for (bone, at), i in places.items()
-        if bone.endswith("_l") and (bone[:-2] + "_r", at) in places
-    ]
-
-
-def facing_of_pairs(recording: Recording) -> list[tuple[tuple[int, int], float, float]]:
-    """Which way round each pair of markers is, if the hands are before the head.
-
-    Returns:
-        For each pair: its markers; the share of samples in which the hands, well away from the
-        head, are where the front is with the left marker at the left; and that share's mean of
-        metres before the head. Nothing where head or hands are not present for long enough.
-    """
-    head = [i for i, place in enumerate(recording.places) if place.bone == "head"]
-    on_hands = recording.skeleton.tree.names_in("forearm", "hand")
-    hands = [p for p in left_right_pairs(recording) if recording.places[p[0]].bone in on_hands]
-    if not (head and hands) or np.ptp(recording.times) < MIN_DURATION_S:
-        return []
-    positions = recording.positions_world[..., :2]
-    ahead = positions[:, list(hands[0])].mean(1) - positions[:, head[0]]
-    return [
-        ((left, right), *_forward_share(ahead, positions[:, left] - positions[:, right]))
-        for left, right in left_right_pairs(recording)
-    ]
-
-
-def _forward_share(ahead: np.ndarray, leftward: np.ndarray) -> tuple[float, float]:
-    """Share of (T, 2) vectors ``ahead`` to the right of ``leftward``, and their mean there."""
-    across = ahead[:, 0] * leftward[:, 1] - ahead[:, 1] * leftward[:, 0]
-    forward = across / np.maximum(np.linalg.norm(leftward, axis=1), 1e-9)
-    is_clear = np.abs(forward) > MIN_HANDS_AHEAD_M
-    if is_clear.sum() < 0.25 * len(forward):
-        return 0.5, 0.0
-    return float((forward[is_clear] > 0).mean()), float(np.nanmean(forward))
-
-
-def _check_sides(recording: Recording) -> Iterator[Finding]:
-    facing = facing_of_pairs(recording)
-    wrong = [row for row in facing if row[1] <= 1 - MIN_AGREEING_SHARE]
-    if not wrong:
-        return
-    names = [tuple(recording.marker_names[i] for i in pair) for pair, _, _ in wrong]
-    exchanged = ", ".join(f"{left} and {right}" for left, right in names)
-    alternative = ""
-    if len(wrong) == len(facing):
-        alternative = (
-            ", or the file's axes are left-handed (then state to_world with one row negated, in "
-            "place of up)"
-        )
-    share, metres = wrong[0][1], -wrong[0][2]
-    yield Finding(
-        "left and right",
-        f"[markers.on] {exchanged}: the hands are behind the head in {100 * (1 - share):.0f} % of "
-        f"the samples, by {metres:.2f} m on average; left and right are exchanged{alternative}",
     )
 
 

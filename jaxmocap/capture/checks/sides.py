@@ -1,0 +1,181 @@
+"""Are left and right, and markers above one another, as the file states? See ``checks``.
+
+Where the front is, hands tell, which are before the head most of the time, and walking, which goes
+ahead.
+
+INPUTS: a Recording. OUTPUTS: Findings about labels that are exchanged.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.capture.checks.body_reach import standing_points
+from jaxmocap.capture.checks.finding import Finding
+from jaxmocap.formats.recordings.recording import Recording
+
+# Hands this far before (or behind) the head show where the front is, metres,
+MIN_HANDS_AHEAD_M = 0.2
+# and so does a head that goes so fast, metres per second, as measured over so many seconds,
+MIN_WALK_M_S = 0.4
+WALK_SPAN_S = 0.5
+# for so many metres at least and in this share of the samples,
+MIN_WALKED_M = 1.5
+MIN_WALKED_SHARE = 0.5
+# in this share of the samples or of the way,
+MIN_AGREEING_SHARE = 0.8
+# and hands do if the recording is long enough for a habit to show, seconds.
+MIN_DURATION_S = 3.0
+# Markers whose heights differ by so much on somebody who stands, metres, keep their order,
+MIN_APART_M = 0.5
+# or lie beside one another, within so much, metres.
+BESIDE_M = 0.1
+
+
+class Facing(NamedTuple):
+    """How a left and a right marker are to what shows the front.
+
+    Attributes:
+        pair: the markers.
+        hands_share: share of the samples, with hands well away from the head, in which they are
+            where the front is with the left marker at the left; 0.5 where too few are.
+        hands_ahead: that distance before the head in the mean, metres.
+        walk_share: the same of the metres that are walked; 0.5 where they are too few.
+    """
+
+    pair: tuple[int, int]
+    hands_share: float
+    hands_ahead: float
+    walk_share: float
+
+    @property
+    def is_exchanged(self) -> bool:
+        """Hands or walking say that left is right, and the other does not deny it."""
+        return _vote(self.hands_share) + _vote(self.walk_share) < 0
+
+    def reason(self) -> str:
+        """What says so."""
+        if _vote(self.hands_share) < 0:
+            return (
+                f"the hands are behind the head in {100 * (1 - self.hands_share):.0f} % of the "
+                f"samples, by {-self.hands_ahead:.2f} m on average"
+            )
+        return f"{100 * (1 - self.walk_share):.0f} % of the way is walked backwards"
+
+
+def _vote(share: float) -> int:
+    return int(share >= MIN_AGREEING_SHARE) - int(share <= 1 - MIN_AGREEING_SHARE)
+
+
+def left_right_pairs(recording: Recording) -> list[tuple[int, int]]:
+    """Markers at the same place of the left and the right side."""
+    places = {(place.bone, place.at): i for i, place in enumerate(recording.places)}
+    return [
+        (i, places[bone[:-2] + "_r", at])
+        for (bone, at), i in places.items()
+        if bone.endswith("_l") and (bone[:-2] + "_r", at) in places
+    ]
+
+
+def facing_of_pairs(recording: Recording) -> list[Facing]:
+    """Which way round each pair of markers is."""
+    head = [i for i, place in enumerate(recording.places) if place.bone == "head"]
+    pairs = left_right_pairs(recording)
+    if not (head and pairs):
+        return []
+    lasts = np.ptp(recording.times) >= MIN_DURATION_S
+    positions = recording.positions_world[..., :2]
+    on_hands = recording.skeleton.tree.names_in("forearm", "hand")
+    hands = [p for p in pairs if lasts and recording.places[p[0]].bone in on_hands]
+    middle = positions[:, list(hands[0])].mean(1) if hands else positions[:, head[0]]
+    ahead = middle - positions[:, head[0]]
+    walked, steps = _walk(recording.times, positions[:, head[0]])
+    found = []
+    for left, right in pairs:
+        leftward = positions[:, left] - positions[:, right]
+        hands_share, metres = _hands_share(_forward(ahead, leftward))
+        found.append(
+            Facing(
+                (left, right), hands_share, metres, _walk_share(_forward(walked, leftward), steps)
+            )
+        )
+    return found
+
+
+def _forward(ahead: np.ndarray, leftward: np.ndarray) -> np.ndarray:
+    """(T,) what of vectors ``ahead`` (T, 2) points to the right of ``leftward`` (T, 2), by 90°."""
+    across = ahead[:, 0] * leftward[:, 1] - ahead[:, 1] * leftward[:, 0]
+    return across / np.maximum(np.linalg.norm(leftward, axis=1), 1e-9)
+
+
+def _hands_share(forward: np.ndarray) -> tuple[float, float]:
+    is_clear = np.abs(forward) > MIN_HANDS_AHEAD_M
+    if is_clear.sum() < 0.25 * len(forward):
+        return 0.5, 0.0
+    return float((forward[is_clear] > 0).mean()), float(np.nanmean(forward))
+
+
+def _walk(times: np.ndarray, head: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities (T, 2) of a head (T, 2), NaN at the ends, and the seconds (T,) of each sample."""
+    before = np.clip(np.searchsorted(times, times - WALK_SPAN_S / 2), 0, len(times) - 1)
+    after = np.clip(np.searchsorted(times, times + WALK_SPAN_S / 2), 0, len(times) - 1)
+    spans = times[after] - times[before]
+    whole = spans > WALK_SPAN_S / 2
+    velocities = (head[after] - head[before]) / np.where(whole, spans, np.nan)[:, None]
+    return velocities, np.gradient(times)
+
+
+def _walk_share(forward: np.ndarray, seconds: np.ndarray) -> float:
+    """Share of what is walked ahead, of (T,) metres per second, if it is a way."""
+    walks = np.abs(forward) > MIN_WALK_M_S
+    metres = np.where(walks, forward * seconds, 0.0)
+    total = np.abs(metres).sum()
+    if total < MIN_WALKED_M or walks.mean() < MIN_WALKED_SHARE:
+        return 0.5
+    return float(metres[metres > 0].sum() / total)
+
+
+def check_sides(recording: Recording) -> Iterator[Finding]:
+    """Left and right."""
+    facing = facing_of_pairs(recording)
+    wrong = [each for each in facing if each.is_exchanged]
+    if not wrong:
+        return
+    names = [tuple(recording.marker_names[i] for i in each.pair) for each in wrong]
+    exchanged = ", ".join(f"{left} and {right}" for left, right in names)
+    alternative = ""
+    if len(wrong) == len(facing):
+        alternative = (
+            ", or the file's axes are left-handed (then state to_world with one row negated, in "
+            "place of up)"
+        )
+    yield Finding(
+        "left and right",
+        f"[markers.on] {exchanged}: {wrong[0].reason()}; left and right are exchanged{alternative}",
+    )
+
+
+def check_heights(recording: Recording) -> Iterator[Finding]:
+    """A marker that is stated far above another and is mostly below it: a head as a hand."""
+    heights = standing_points(recording.skeleton, recording.places)[:, 2]
+    levels, names = recording.positions_world[..., 2], recording.marker_names
+    wrong = []
+    for high in range(len(names)):
+        for low in np.flatnonzero(heights < heights[high] - MIN_APART_M):
+            apart = levels[:, low] - levels[:, high]
+            apart = apart[np.isfinite(apart)]
+            expected = heights[high] - heights[low]
+            share = float((apart > BESIDE_M).mean()) if len(apart) else 0.0
+            if share >= MIN_AGREEING_SHARE:
+                wrong.append((expected, high, int(low), share, float(np.median(apart))))
+    if not wrong:
+        return
+    _, high, low, share, apart = max(wrong)
+    yield Finding(
+        "exchanged",
+        f"[markers.on] {names[high]} and {names[low]}: {names[low]} is above {names[high]} in "
+        f"{100 * share:.0f} % of the samples, by {apart:.2f} m in the median, expected "
+        f"{heights[high] - heights[low]:.2f} m below it on somebody who stands; the two are "
+        "exchanged, unless they are held so all the time",
+    )
