@@ -1,5 +1,6 @@
 """A full set of markers: the body is fitted to them, follows the trunk's turn, and ± follows."""
 
+import tomllib
 from dataclasses import replace
 
 import jax
@@ -12,6 +13,7 @@ from jaxmocap.body.model import marker_sites
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.formats.recordings.recording import load_recording
+from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.outputs.report import misfit
 from jaxmocap.pipelines.summary import summary
@@ -109,3 +111,25 @@ def test_few_markers_leave_the_body_as_it_is(tmp_path):
     (tmp_path / "recording.toml").write_text(text)
     joints = load_recording(tmp_path / "recording.toml").skeleton.tree.joints
     assert joints == Skeleton.human(1.7).tree.joints
+
+
+def test_joints_of_real_people_lie_within_what_is_stated(recordings, tmp_path):
+    """Elbows, shoulders, hips and knees beside Plug-in Gait's, from the stature alone."""
+    inside = []
+    for name in ("person_01", "person_06", "person_11"):
+        person = recordings / "people" / name
+        height = tomllib.loads((person / "person.toml").read_text())["height"]
+        text = f'[markers]\nfile = "{person}/turn.trc"\nset = "plug-in-gait"\n'
+        (tmp_path / "recording.toml").write_text(f"{text}[subject]\nheight = {height}\n")
+        motion = track(load_recording(tmp_path / "recording.toml"))
+        assert motion.report is not None
+        reference, joints = read_markers(person / "turn.trc"), motion.joints()
+        for part in ("Elbow", "Shoulder", "Hip", "Knee"):
+            for side in ("l", "r"):
+                own = f"{part.lower()}_{side}"
+                truth = reference.positions[:, reference.names.index(side.upper() + part)]
+                off = np.linalg.norm(joints[own] - truth, axis=1)
+                std = np.asarray(motion.report.landmarks_std)[:, LANDMARKS.index(own)]
+                # 90 % of a normal error in three dimensions are within 2.5 deviations of one.
+                inside.append(np.mean(off < 2.5 * np.sqrt((std**2).mean(-1))))
+    assert np.mean(inside) > 0.8

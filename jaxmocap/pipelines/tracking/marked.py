@@ -9,6 +9,7 @@ and its trajectory with deviations.
 from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -17,14 +18,14 @@ import numpy as np
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.fitting.marker_fit import (
-    FAR_TAILS,
     FIT_PERSON,
-    FIT_POSES,
-    TAILS,
-    PosesFit,
+    LANDMARK_VARIANCES,
     fitted_model,
+    usual_covariance,
 )
+from jaxmocap.fitting.marker_poses import FAR_TAILS, FIT_POSES, TAILS, PosesFit
 from jaxmocap.formats.marker_sets.marked_joints import determine_body
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.refine import StepReport
@@ -87,15 +88,20 @@ def followed(
     chosen = np.zeros(1, int) if causal else _spread(markers)
     model, sentence = tracker.model, ""
     fit = _far(tracker, markers[chosen])
+    # Whoever states that lengths and places are not to be fitted knows them.
+    covariance = usual_covariance(model) * float(events.recording.fit)
     if events.recording.fit and not causal:
         before = fit
         person = FIT_PERSON(model, fit.poses, markers[chosen])
+        covariance = person.covariance
         model = fitted_model(model, jax.tree.map(jnp.asarray, person.person))
         fit = FIT_POSES(model, person.poses, markers[chosen], _tails(model, TAILS))
         sentence = _sentence(markers[chosen], before, fit)
     other = copy(tracker)
     other.model = model
-    poses, variances = _along(model, markers, chosen, fit.poses, show)
+    poses = _along(model, markers, chosen, fit.poses, show)
+    each = jax.tree.map(np.asarray, (poses, markers))
+    (variances,) = in_batches(partial(LANDMARK_VARIANCES, model, covariance), each, SAMPLES)
     first = _first_pass(events, other, poses)
     deviations = np.sqrt(variances)
     trajectory = Trajectory(
@@ -124,10 +130,8 @@ def _tails(model: Model, tails: float) -> np.ndarray:
     return np.asarray(tails, model.dtype)
 
 
-def _along(
-    model: Model, markers: np.ndarray, chosen: np.ndarray, poses: Pose, show: Show
-) -> tuple[Pose, np.ndarray]:
-    """Poses (E, ...) and landmarks' variances (E, L, 3), from each chosen event on."""
+def _along(model: Model, markers: np.ndarray, chosen: np.ndarray, poses: Pose, show: Show) -> Pose:
+    """Poses (E, ...), from each chosen event on."""
     count, ends = len(markers), [*chosen[1:], len(markers)]
     lanes = [np.arange(first, max(end, first + 1)) for first, end in zip(chosen, ends, strict=True)]
     lanes[0] = np.concatenate([np.arange(chosen[0])[::-1], lanes[0]])
@@ -136,7 +140,7 @@ def _along(
         now = np.array([lane[min(step, len(lane) - 1)] for lane in lanes])
         fit = FIT_POSES(model, poses, markers[now], _tails(model, TAILS))
         poses = fit.poses
-        found = jax.tree.map(np.asarray, (fit.poses, fit.variances))
+        found = jax.tree.map(np.asarray, poses)
         if parts is None:
             parts = jax.tree.map(lambda part: np.zeros((count, *part.shape[1:]), part.dtype), found)
         for whole, part in zip(jax.tree.leaves(parts), jax.tree.leaves(found), strict=True):
