@@ -259,6 +259,13 @@ def test_walking_shows_which_side_is_left(walkers):
     assert "of the way is walked backwards; left and right are exchanged" in finding.sentence
 
 
+def test_one_sample_shows_no_walk(walkers):
+    alone = replace(
+        walkers[0], times=walkers[0].times[:1], positions_world=walkers[0].positions_world[:1]
+    )
+    assert not checks_of(alone)
+
+
 @pytest.mark.parametrize("pair", [(0, 1), (0, 2)])
 def test_a_head_stated_as_a_hand_is_a_warning(walkers, recordings, sound, pair):
     lab = Recording.load(recordings / "balancing" / "recording_cam_01.toml")

@@ -123,7 +123,7 @@ def _walk(times: np.ndarray, head: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     spans = times[after] - times[before]
     whole = spans > WALK_SPAN_S / 2
     velocities = (head[after] - head[before]) / np.where(whole, spans, np.nan)[:, None]
-    return velocities, np.gradient(times)
+    return velocities, np.gradient(times) if len(times) > 1 else np.zeros(len(times))
 
 
 def _walk_share(forward: np.ndarray, seconds: np.ndarray) -> float:
