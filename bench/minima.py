@@ -77,7 +77,7 @@ def rivals(model: Model) -> tuple[dict[str, Solve], Callable[[Pose, Measurements
 
         endless = jnp.full(scale.shape, jnp.inf, scale.dtype)
         costs = Costs(lambda x: cost(x, measured), slope, retract, lambda _: (-endless, endless))
-        return descend(costs, pose, scale, STEPS[0]).x
+        return descend(costs, pose, scale, STEPS[0])
 
     def optimistix(steps: int, pose: Pose, measured: Measurements) -> Pose:
         tolerance = float(jnp.finfo(scale.dtype).eps) ** 0.75

@@ -5,6 +5,7 @@ INPUTS: a Model, terms, what was measured, a pose to start from. OUTPUTS: a pose
 
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +14,17 @@ from jax import Array
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.evidence.terms import Measurements, Term, residuals
+from jaxmocap.evidence.terms import Measurements, Term, linearised, residuals
+from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.solvers.limits import room
-from jaxmocap.solvers.optimum import Costs, descend, newton_step
+from jaxmocap.solvers.optimum import Costs, descend, least_squares_step, rests
 
 # Steps of the descent, at most.
 STEPS = 100
+# Newton steps that end it, by a factorisation that single precision holds.
+POLISHING = 4
+# Times that one of them is made, as limits are met.
+ROUNDS = 3
 
 
 def pose_at_minimum(
@@ -40,13 +46,90 @@ def pose_at_minimum(
     low, high = held[0].skeleton.limits.T
     start = start._replace(angles=jnp.clip(start.angles, low, high))
     costs = Costs(partial(_cost, held), partial(_slope, held), retract, partial(_room, held))
-    pose, hessian, at_rest = descend(costs, start, scale, STEPS)
-    side = jnp.where(at_rest, jnp.where(costs.room(pose)[0] >= 0, -1, 1), 0)[ROOT_DOF:]
-    pose = _at_limits(model, pose, side)
-    step = newton_step(_slope(evidence, pose, jnp.zeros_like(scale)), hessian, ~at_rest)
-    # Where the cost has no second derivative to speak of, a step may lead anywhere.
-    step = jnp.where(jnp.isfinite(step), step, 0.0)
-    return retract(pose, step - jax.lax.stop_gradient(step))
+    pose = descend(costs, start, scale, STEPS)
+
+    def polish(pose: Pose, _: None) -> tuple[Pose, _About]:
+        about = _about(held, pose)
+        there = retract(pose, about.step_within(*costs.room(pose)))
+        here = jnp.sum(about.residuals**2) / 2
+        # Where costs differ by rounding alone, the step still says where the minimum is.
+        ends = costs.cost(there) <= here + 1e-3 * (1e-3 + here)
+        return jax.tree.map(lambda new, old: jnp.where(ends, new, old), there, pose), about
+
+    pose, all_about = jax.lax.scan(polish, pose, None, POLISHING)
+    about = jax.tree.map(lambda each: each[-1], all_about)
+    pose = _at_limits(model, pose, about.moves)
+    return retract(pose, _following(evidence, held, pose, about))
+
+
+class _About(NamedTuple):
+    """Residuals about a pose, to second order.
+
+    Attributes:
+        residuals: (R,).
+        jacobian: (R, 6 + D).
+        bend: (6 + D, 6 + D) the sum of their second derivatives, each times its residual.
+        moves: (6 + D,) which degrees of freedom do not rest at a limit.
+    """
+
+    residuals: Array
+    jacobian: Array
+    bend: Array
+    moves: Array
+
+    def step(self, change: Array, turn: Array) -> Array:
+        """The minimum's step (6 + D,) as the residuals and their pull change."""
+        return least_squares_step(self.jacobian, self.bend, self.moves, change, turn)
+
+    def step_within(self, low: Array, high: Array) -> Array:
+        """The step to the minimum; what would pass its limit goes there, and the others know."""
+
+        def limited(_: int, so_far: tuple[Array, Array]) -> tuple[Array, Array]:
+            step, moves = so_far
+            fixed = jnp.where(moves, 0.0, step)
+            change = self.residuals + jnp.matmul(self.jacobian, fixed, precision=HIGHEST)
+            turn = jnp.matmul(self.bend, fixed, precision=HIGHEST)
+            wanted = least_squares_step(self.jacobian, self.bend, moves, change, turn)
+            step = jnp.clip(jnp.where(moves, wanted, step), low, high)
+            return step, moves & (wanted >= low) & (wanted <= high)
+
+        return jax.lax.fori_loop(0, ROUNDS, limited, (jnp.zeros_like(low), self.moves))[0]
+
+
+def _about(evidence: tuple, pose: Pose) -> _About:
+    model, terms, measured = evidence
+    no_proportions = jnp.zeros(0, pose.angles.dtype)
+    linear = linearised(terms, model, no_proportions, pose, measured)
+    r, J = linear.residuals, linear.jacobian
+    pull = partial(_pull, evidence, pose, r)
+    low, high = _room(evidence, pose)
+    at_rest = rests(jnp.matmul(r, J, precision=HIGHEST), low, high)
+    bend = jax.jacfwd(pull)(jnp.zeros_like(low))
+    return _About(r, J, bend, ~at_rest)
+
+
+def _pull(evidence: tuple, pose: Pose, weights: Array, step: Array) -> Array:
+    """(6 + D,) derivative of residuals times weights (R,), where a step from a pose leads."""
+    model, terms, measured = evidence
+    there = retract(pose, step)
+
+    def weighed(further: Array) -> Array:
+        return jnp.vdot(residuals(terms, model, retract(there, further), measured), weights)
+
+    return jax.grad(weighed)(jnp.zeros_like(step))
+
+
+def _following(evidence: tuple, held: tuple, pose: Pose, about: _About) -> Array:
+    """No step (6 + D,), with the derivatives of the minimum that a pose is at."""
+    still = jnp.zeros(about.moves.shape, about.residuals.dtype)
+
+    def measured_at(evidence: tuple, pose: Pose) -> tuple[Array, Array]:
+        model, terms, measured = evidence
+        now = residuals(terms, model, pose, measured)
+        return now, _pull(evidence, pose, about.residuals, still)
+
+    now, then = measured_at(evidence, pose), measured_at(held, jax.lax.stop_gradient(pose))
+    return about.step(now[0] - then[0], now[1] - then[1])
 
 
 def _cost(evidence: tuple, pose: Pose) -> Array:
@@ -68,8 +151,9 @@ def _room(evidence: tuple, pose: Pose) -> tuple[Array, Array]:
     return jnp.concatenate([-endless, low]), jnp.concatenate([endless, high])
 
 
-def _at_limits(model: Model, pose: Pose, side: Array) -> Pose:
-    """The pose with the joints of a side at that limit."""
+def _at_limits(model: Model, pose: Pose, moves: Array) -> Pose:
+    """The pose, whose joints that rest at a limit follow it."""
     low, high = model.skeleton.limits.T
-    angles = jnp.where(side < 0, low, jnp.where(side > 0, high, pose.angles))
-    return pose._replace(angles=angles)
+    angles = pose.angles
+    limit = jnp.where(angles - low <= high - angles, low, high)
+    return pose._replace(angles=jnp.where(moves[ROOT_DOF:], angles, limit))

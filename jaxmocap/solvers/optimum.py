@@ -2,8 +2,8 @@
 
 A loop of steps has no useful derivative; the minimum x that it ends at has one. There the slope
 g(x, p) vanishes, and goes on doing so as p changes: H dx = -(dg/dp) dp, the implicit function
-theorem. One Newton step from the minimum, its Hessian H held fixed, says just that, forwards,
-backwards and in batches, and squares what is left of the distance besides.
+theorem. One step from the minimum, its Hessian H held fixed, says just that, forwards, backwards
+and in batches.
 
 The descent takes the whole Hessian, not Gauss-Newton's: out of reach, where residuals are large,
 optimistix' Levenberg-Marquardt creeps, though it is ten times as quick within reach
@@ -14,6 +14,7 @@ derivatives.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -23,8 +24,6 @@ from jax import Array
 # Factors on the last step's damping that each step tries.
 TRIED = (1e-3, 1e-1, 1.0, 1e1, 1e3)
 FIRST_DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-3, 1e-9, 1e9
-# Undamped steps at the end: each squares the distance to the minimum.
-UNDAMPED_STEPS = 3
 
 
 class Costs(NamedTuple):
@@ -44,40 +43,27 @@ class Costs(NamedTuple):
     room: Callable[[Any], tuple[Array, Array]]
 
 
-class Descent(NamedTuple):
-    """Where a descent ended.
-
-    Attributes:
-        x: of least cost.
-        hessian: (N, N) of the cost there.
-        at_rest: (N,) unknowns at a bound that their slope pushes them against.
-    """
-
-    x: Any
-    hessian: Array
-    at_rest: Array
-
-
-def descend(costs: Costs, start: Any, scale: Array, steps: int) -> Descent:
+def descend(costs: Costs, start: Any, scale: Array, steps: int) -> Any:
     """The x of least cost near a start, by damped Newton steps; nothing is differentiated.
 
     Directions of negative curvature are gone down by as much. An unknown at its bound rests there
-    while the slope pushes it outwards. Undamped steps end it.
+    while the slope pushes it outwards.
 
     Args:
         costs: to minimise.
         start: within the bounds.
         scale: (N,) usual sizes of a change.
-        steps: at most, before the undamped ones.
+        steps: at most.
     """
     still = jnp.zeros_like(scale)
     tiny = jnp.finfo(scale.dtype).eps
 
-    def unfinished(carry: tuple[Array, Array, Array, Descent]) -> Array:
-        return carry[1] != 0
+    def unfinished(carry: tuple[Array, Array, Array, Any]) -> Array:
+        count, goes_on, damping, _ = carry
+        return goes_on & (count < steps) & (damping < LARGEST_DAMPING)
 
-    def step(carry: tuple[Array, Array, Array, Descent]) -> tuple[Array, Array, Array, Descent]:
-        count, undamped, damping, (x, _, _) = carry
+    def step(carry: tuple[Array, Array, Array, Any]) -> tuple[Array, Array, Array, Any]:
+        count, _, damping, x = carry
         # At one go, as the prices below: written once more, the cost would compile once more.
         H, g = jax.jacfwd(lambda step: 2 * (costs.slope(x, step),), has_aux=True)(still)
         low, high = costs.room(x)
@@ -93,25 +79,19 @@ def descend(costs: Costs, start: Any, scale: Array, steps: int) -> Descent:
             return costs.move(x, jnp.clip(scaled * move, low, high))
 
         candidates = jnp.clip(damping * jnp.asarray(TRIED, scale.dtype), LEAST_DAMPING)
-        there = jax.vmap(moved)(jnp.append(candidates, 0.0))
+        there = jax.vmap(moved)(candidates)
         places = jax.tree.map(lambda new, old: jnp.concatenate([new, old[None]]), there, x)
         prices = jax.vmap(costs.cost)(places)
-        here, best = prices[-1], jnp.argmin(jnp.nan_to_num(prices[:-2], nan=jnp.inf))
+        here, best = prices[-1], jnp.argmin(jnp.nan_to_num(prices[:-1], nan=jnp.inf))
         lower = prices[best] < here
         promised = jnp.sum(along**2 / (sizes + LEAST_DAMPING)) / 2
-        goes_on = (promised > tiny * (1e-3 + here)) & (count < steps) & (damping < LARGEST_DAMPING)
-        # Where the costs differ by rounding alone, the slope still says where the minimum is.
-        ends = jnp.isfinite(prices[-2]) & (prices[-2] <= here + 1e-3 * (1e-3 + here))
-        taken, accepted = (jnp.where(undamped > 0, *pair) for pair in ((-2, best), (ends, lower)))
-        x = jax.tree.map(lambda new, old: jnp.where(accepted, new[taken], old), places, x)
+        x = jax.tree.map(lambda new, old: jnp.where(lower, new[best], old), places, x)
         damping = jnp.where(lower, candidates[best], candidates[-1])
-        left = jnp.where(undamped > 0, undamped - 1, jnp.where(goes_on, -1, UNDAMPED_STEPS))
-        return count + 1, left, damping, Descent(x, H, at_rest)
+        return count + 1, promised > tiny * (1e-3 + here), damping, x
 
-    first = jnp.asarray(FIRST_DAMPING, scale.dtype)
-    nothing = Descent(start, jnp.zeros((scale.size, scale.size), scale.dtype), still > 0)
-    counted = jnp.zeros((), jnp.int32)
-    return jax.lax.while_loop(unfinished, step, (counted, counted - 1, first, nothing))[3]
+    damping = jnp.asarray(FIRST_DAMPING, scale.dtype)
+    first = (jnp.zeros((), jnp.int32), jnp.ones((), bool), damping, start)
+    return jax.lax.while_loop(unfinished, step, first)[3]
 
 
 def rests(slope: Array, low: Array, high: Array) -> Array:
@@ -119,21 +99,47 @@ def rests(slope: Array, low: Array, high: Array) -> Array:
     return ((low >= 0) & (slope > 0)) | ((high <= 0) & (slope < 0))
 
 
-def newton_step(slope: Array, hessian: Array, moves: Array) -> Array:
-    """The step (N,) to where the slope vanishes, which carries its derivatives.
+# Of the curvature that the residuals' derivatives alone have, less is none.
+LEAST_CURVATURE = 1e-2
+
+
+def least_squares_step(
+    jacobian: Array, bend: Array, moves: Array, change: Array, turn: Array
+) -> Array:
+    """The step (N,) of a least-squares minimum as its residuals change.
+
+    The cost's Hessian J^T J + S has the square of J's condition, and single precision cannot hold
+    it where a marker counts for millimetres beside a weak prior. By J = QR the equations are
+
+        (1 + R^-T S R^-1) (R dx) = -(Q^T dr + R^-T dJ^T r)
+
+    and no square is formed.
 
     Args:
-        slope: (N,) of a cost at a point, differentiable by whatever it depends on.
-        hessian: (N, N) there, held fixed.
+        jacobian: (K, N) of the residuals; held fixed.
+        bend: (N, N) S, the sum of the residuals' second derivatives, each times its residual; held.
         moves: (N,) which unknowns may move; the others' step is 0.
+        change: (K,) of the residuals, dr.
+        turn: (N,) of their pull, dJ^T r.
     """
-    H = jax.lax.stop_gradient(hessian)
-    curvature = jnp.abs(jnp.diagonal(H))
-    least = jnp.finfo(H.dtype).tiny ** 0.5
-    scale = jnp.where(moves & (curvature > least), 1 / jnp.sqrt(jnp.maximum(curvature, least)), 0.0)
-    ridge = jnp.where(scale > 0, 10 * jnp.finfo(H.dtype).eps, 1.0)
-    scaled = scale[:, None] * H * scale + jnp.diag(ridge)
-    return -scale * jnp.linalg.solve(scaled, scale * slope)
+    J, S = jax.lax.stop_gradient((jacobian, (bend + bend.T) / 2))
+    free = moves.astype(J.dtype)
+    sizes = jnp.linalg.norm(J, axis=0)
+    # What no residual determines stays.
+    ridge = jnp.where(moves & (sizes > 0), 10 * jnp.finfo(J.dtype).eps * sizes, 1.0)
+    Q, R = jnp.linalg.qr(jnp.concatenate([J * free, jnp.diag(ridge)]))
+    by_triangle = partial(jax.scipy.linalg.solve_triangular, R)
+    half = by_triangle(free[:, None] * S * free, trans=1)
+    values, vectors = jnp.linalg.eigh(
+        jnp.eye(len(free), dtype=J.dtype) + by_triangle(half.T, trans=1)
+    )
+    curved = values > LEAST_CURVATURE
+    inverse = jnp.where(curved, 1 / jnp.where(curved, values, 1.0), 0.0)
+    right = jnp.matmul(Q[: len(J)].T, change, precision="highest") + by_triangle(
+        free * turn, trans=1
+    )
+    solved = vectors @ (inverse * (vectors.T @ right))
+    return -free * by_triangle(solved)
 
 
 def curved_step(slope: Array, hessian: Array) -> Array:

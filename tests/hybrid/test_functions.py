@@ -192,6 +192,26 @@ SLOPES = jax.jit(
 )
 
 
+def test_derivatives_are_right_in_single_precision():
+    """By the whole gradient's error; far out of reach, single precision ends beside the minimum."""
+    off = []
+    for seed, kind in ((seed, kind) for seed in range(10) for kind in KINDS if "arms" not in kind):
+        markers = random_markers(seed, kind)
+        given = tracked_model(), Settings(), jnp.asarray(markers, jnp.float32)
+        with double():
+            exact = pieces(SLOPES(*in_double((*given[:2], markers))))
+        single = pieces(SLOPES(*given))
+        off.append(np.linalg.norm(single - exact) / np.linalg.norm(exact))
+    assert np.median(off) < 0.01
+    assert np.mean(np.array(off) < 0.05) >= 0.85, off
+
+
+def pieces(slopes: tuple) -> np.ndarray:
+    """Derivatives by bone lengths and by markers, in one vector."""
+    by_markers = np.nan_to_num(np.asarray(slopes[2], float))
+    return np.append(np.asarray(slopes[0].skeleton.lengths, float), by_markers)
+
+
 def test_people_and_markers_go_side_by_side():
     with double():
         side_by_side(in_double(tracked_model()), in_double(Settings()))
