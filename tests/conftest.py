@@ -50,6 +50,22 @@ def double():
     return jax.enable_x64(True)
 
 
+# Beyond so much memory, GiB, compiled programs are let go between two files: two
+# workers would fill a machine of 24.
+MOST_RESIDENT_GIB = 5.0
+
+
+@pytest.fixture(autouse=True, scope="module")
+def programs_let_go():
+    """Compiled programs do not pile up over files."""
+    yield
+    status = Path("/proc/self/status")
+    if status.exists():
+        kib = next(line.split()[1] for line in status.read_text().splitlines() if "VmRSS" in line)
+        if int(kib) / 2**20 > MOST_RESIDENT_GIB:
+            jax.clear_caches()
+
+
 def vectors(n: int, largest: float = 1.0):
     """Hypothesis: (n,) float64 arrays with entries between -largest and largest."""
     return arrays(float, n, elements=st.floats(-largest, largest, allow_subnormal=False))

@@ -59,7 +59,7 @@ def pose_at_minimum(
     pose, all_about = jax.lax.scan(polish, pose, None, POLISHING)
     about = jax.tree.map(lambda each: each[-1], all_about)
     pose = _at_limits(model, pose, about.moves)
-    return retract(pose, _following(evidence, held, pose, about))
+    return retract(pose, _following(evidence, pose, about))
 
 
 class _About(NamedTuple):
@@ -119,17 +119,13 @@ def _pull(evidence: tuple, pose: Pose, weights: Array, step: Array) -> Array:
     return jax.grad(weighed)(jnp.zeros_like(step))
 
 
-def _following(evidence: tuple, held: tuple, pose: Pose, about: _About) -> Array:
+def _following(evidence: tuple, pose: Pose, about: _About) -> Array:
     """No step (6 + D,), with the derivatives of the minimum that a pose is at."""
+    model, terms, measured = evidence
     still = jnp.zeros(about.moves.shape, about.residuals.dtype)
-
-    def measured_at(evidence: tuple, pose: Pose) -> tuple[Array, Array]:
-        model, terms, measured = evidence
-        now = residuals(terms, model, pose, measured)
-        return now, _pull(evidence, pose, about.residuals, still)
-
-    now, then = measured_at(evidence, pose), measured_at(held, jax.lax.stop_gradient(pose))
-    return about.step(now[0] - then[0], now[1] - then[1])
+    now = residuals(terms, model, pose, measured)
+    pull = _pull(evidence, pose, about.residuals, still)
+    return about.step(*(part - jax.lax.stop_gradient(part) for part in (now, pull)))
 
 
 def _cost(evidence: tuple, pose: Pose) -> Array:
