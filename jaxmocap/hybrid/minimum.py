@@ -68,18 +68,18 @@ class _About(NamedTuple):
     Attributes:
         residuals: (R,).
         jacobian: (R, 6 + D).
-        bend: (6 + D, 6 + D) the sum of their second derivatives, each times its residual.
+        second_order: (6 + D, 6 + D) the sum of their second derivatives, each times its residual.
         moves: (6 + D,) which degrees of freedom do not rest at a limit.
     """
 
     residuals: Array
     jacobian: Array
-    bend: Array
+    second_order: Array
     moves: Array
 
-    def step(self, change: Array, turn: Array) -> Array:
+    def step(self, change: Array, pull: Array) -> Array:
         """The minimum's step (6 + D,) as the residuals and their pull change."""
-        return least_squares_step(self.jacobian, self.bend, self.moves, change, turn)
+        return least_squares_step(self.jacobian, self.second_order, self.moves, change, pull)
 
     def step_within(self, low: Array, high: Array) -> Array:
         """The step to the minimum; what would pass its limit goes there, and the others know."""
@@ -88,8 +88,8 @@ class _About(NamedTuple):
             step, moves = so_far
             fixed = jnp.where(moves, 0.0, step)
             change = self.residuals + jnp.matmul(self.jacobian, fixed, precision=HIGHEST)
-            turn = jnp.matmul(self.bend, fixed, precision=HIGHEST)
-            wanted = least_squares_step(self.jacobian, self.bend, moves, change, turn)
+            pull = jnp.matmul(self.second_order, fixed, precision=HIGHEST)
+            wanted = least_squares_step(self.jacobian, self.second_order, moves, change, pull)
             step = jnp.clip(jnp.where(moves, wanted, step), low, high)
             return step, moves & (wanted >= low) & (wanted <= high)
 
@@ -104,8 +104,8 @@ def _about(evidence: tuple, pose: Pose) -> _About:
     pull = partial(_pull, evidence, pose, r)
     low, high = _room(evidence, pose)
     at_rest = rests(jnp.matmul(r, J, precision=HIGHEST), low, high)
-    bend = jax.jacfwd(pull)(jnp.zeros_like(low))
-    return _About(r, J, bend, ~at_rest)
+    second_order = jax.jacfwd(pull)(jnp.zeros_like(low))
+    return _About(r, J, second_order, ~at_rest)
 
 
 def _pull(evidence: tuple, pose: Pose, weights: Array, step: Array) -> Array:

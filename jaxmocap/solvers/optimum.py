@@ -104,7 +104,7 @@ LEAST_CURVATURE = 1e-2
 
 
 def least_squares_step(
-    jacobian: Array, bend: Array, moves: Array, change: Array, turn: Array
+    jacobian: Array, second_order: Array, moves: Array, change: Array, pull: Array
 ) -> Array:
     """The step (N,) of a least-squares minimum as its residuals change.
 
@@ -117,12 +117,12 @@ def least_squares_step(
 
     Args:
         jacobian: (K, N) of the residuals; held fixed.
-        bend: (N, N) S, the sum of the residuals' second derivatives, each times its residual; held.
+        second_order: (N, N) S, the residuals' second derivatives, each times its residual; held.
         moves: (N,) which unknowns may move; the others' step is 0.
         change: (K,) of the residuals, dr.
-        turn: (N,) of their pull, dJ^T r.
+        pull: (N,) of their pull, dJ^T r.
     """
-    J, S = jax.lax.stop_gradient((jacobian, (bend + bend.T) / 2))
+    J, S = jax.lax.stop_gradient((jacobian, (second_order + second_order.T) / 2))
     free = moves.astype(J.dtype)
     sizes = jnp.linalg.norm(J, axis=0)
     # What no residual determines stays.
@@ -136,9 +136,10 @@ def least_squares_step(
     curved = values > LEAST_CURVATURE
     inverse = jnp.where(curved, 1 / jnp.where(curved, values, 1.0), 0.0)
     right = jnp.matmul(Q[: len(J)].T, change, precision="highest") + by_triangle(
-        free * turn, trans=1
+        free * pull, trans=1
     )
-    solved = vectors @ (inverse * (vectors.T @ right))
+    along = inverse * jnp.matmul(vectors.T, right, precision="highest")
+    solved = jnp.matmul(vectors, along, precision="highest")
     return -free * by_triangle(solved)
 
 

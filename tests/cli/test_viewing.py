@@ -125,7 +125,9 @@ def answers(port: int) -> bool:
     return True
 
 
-@pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+@pytest.mark.skipif(
+    os.name != "posix", reason="it sends signals, which this system lacks: Linux or macOS has them"
+)
 @pytest.mark.parametrize(
     ("number", "code", "printed"),
     [(signal.SIGINT, 0, ""), (signal.SIGTERM, 143, "jaxmocap view: terminated\n")],
@@ -138,7 +140,10 @@ def test_a_signal_ends_the_command_and_its_server(folder, number, code, printed)
     assert not any(map(answers, ports))
 
 
-@pytest.mark.skipif(os.name != "posix", reason="a terminal as on POSIX")
+@pytest.mark.skipif(
+    os.name != "posix",
+    reason="it opens a terminal, which this system lacks: Linux or macOS has one",
+)
 def test_a_closed_terminal_ends_the_command_and_its_server(folder):
     shown, terminal = os.openpty()
     process, ports = opened_page(

@@ -36,7 +36,9 @@ from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stop import stopped_by_signals
 from jaxmocap.pipelines.signals import Terminated, raised_on_sigterm, signals_deferred
 
-posix = pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+posix = pytest.mark.skipif(
+    os.name != "posix", reason="it sends signals, which this system lacks: Linux or macOS has them"
+)
 OURS = ("markers", "camera", "recording", "viewer")
 
 
