@@ -179,3 +179,8 @@ def check_heights(recording: Recording) -> Iterator[Finding]:
         f"{heights[high] - heights[low]:.2f} m below it on somebody who stands; the two are "
         "exchanged, unless they are held so all the time",
     )
+
+
+def exchanged_labels(recording: Recording) -> list[str]:
+    """What both find, as sentences: what would fit where a body does not meet its markers."""
+    return [each.sentence for each in (*check_sides(recording), *check_heights(recording))]

@@ -57,6 +57,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from jaxmocap.capture.checks.sides import exchanged_labels
     from jaxmocap.outputs.report import MISFIT_M
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.summary import figures, misfit, summary
@@ -71,7 +72,7 @@ def _run(options: argparse.Namespace) -> int:
     # Whether the folder can be written to, before any work.
     tracked_folder(options.out, recording, formats.more_files)
     motion = track(recording, settings, mode=mode, progress=True)
-    warnings: list[str] = []
+    warnings = exchanged_labels(recording)
     files = write_outputs(motion, recording, options.out, settings, True, warnings.append, formats)
     given = motion, files, warnings
     report(options, summary(*given), figures(*given))
