@@ -144,6 +144,31 @@ def jacobian(
     return jnp.concatenate([shifting, turning], -1)
 
 
+def curvature(
+    skeleton: Skeleton,
+    frames: Frames,
+    bones: Array | np.ndarray,
+    points_world: Array,
+    forces: Array,
+) -> Array:
+    """Second derivatives (6 + D, 6 + D) of points fixed to bones, times forces (M, 3), summed.
+
+    By the tangent vector of ``retract``. Of degrees of freedom i before j on one chain it is
+    v_i x (v_j x (s - p_j)); of the root's turn by itself, the mean of that and its transpose.
+    """
+    tree = skeleton.tree
+    J = jacobian(skeleton, frames, bones, points_world)
+    eye = jnp.eye(3, dtype=points_world.dtype)
+    axes = jnp.concatenate([jnp.zeros_like(eye), eye, frames.axes_world])
+    carried = np.asarray(tree.carries)[:, bones].T[..., None]
+    turned = jnp.where(carried, jnp.cross(forces[:, None], axes), 0.0)
+    products = jnp.einsum("mic,mcj->ij", turned, J, precision=jax.lax.Precision.HIGHEST)
+    upper = jnp.triu(products)
+    whole = upper + jnp.triu(products, 1).T
+    root = products[3:ROOT_DOF, 3:ROOT_DOF]
+    return whole.at[3:ROOT_DOF, 3:ROOT_DOF].set((root + root.T) / 2)
+
+
 def landmark_sites(skeleton: Skeleton, names: tuple[str, ...] = LANDMARKS) -> Sites:
     """The named landmarks as sites."""
     bones = np.array([skeleton.tree.bone(LANDMARK_PLACES[name][0]) for name in names], np.int32)

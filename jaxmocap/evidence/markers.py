@@ -9,7 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import Sites, forward, jacobian, landmark_sites, site_positions
+from jaxmocap.body.kinematics import (
+    Sites,
+    curvature,
+    forward,
+    jacobian,
+    landmark_sites,
+    site_positions,
+)
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS
@@ -86,6 +93,14 @@ class PointGoals(Term):
         weights = (goals.weights / self.deviation)[:, None, None]
         return weights * _jacobian(model, body.pose, goals.sites)
 
+    def curvature(
+        self, model: Model, body: PosedBody, measured: Measurements, weights: Array
+    ) -> Array:
+        """(6 + D, 6 + D)."""
+        goals = measured["goals"]
+        forces = (goals.weights / self.deviation)[:, None] * weights
+        return _curvature(model, body.pose, goals.sites, forces)
+
     @property
     def metres_per_deviation(self) -> Array:
         """Of a residual of 1."""
@@ -123,6 +138,13 @@ def _jacobian(model: Model, pose: Pose, sites: Sites) -> Array:
     frames = forward(model.skeleton, pose)
     points = site_positions(model.skeleton, frames, sites)
     return jacobian(model.skeleton, frames, sites.bones, points)
+
+
+def _curvature(model: Model, pose: Pose, sites: Sites, forces: Array) -> Array:
+    """Second derivatives (6 + D, 6 + D) of points on bones times forces (M, 3)."""
+    frames = forward(model.skeleton, pose)
+    points = site_positions(model.skeleton, frames, sites)
+    return curvature(model.skeleton, frames, sites.bones, points, forces)
 
 
 # Degrees of freedom of Student's t, by which a searched elbow may be wrong.

@@ -3,8 +3,10 @@
 INPUTS: a posed body, where the markers' own pose leans and faces. OUTPUTS: whitened residuals.
 """
 
+from functools import partial
 from typing import ClassVar, Literal, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -12,12 +14,12 @@ from jax import Array
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.mass import augmented_bodies
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, difference, relaxed_pose
+from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.compilation.settings import settings, static, traced
+from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
-from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
 
 # Where no marker holds the feet, the markers' pose faces so many times less surely.
 UNMARKED_FACING = 3.0
@@ -68,40 +70,69 @@ class Pelvis(Term):
 LEAST_SHARE = 1e-3
 
 
+def effort_shares(skeleton: Skeleton, augmented_body: Literal["distal", "proximal"]) -> Array:
+    """Shares (D,) of joints of the effort m_i h_i of (9) in the relaxed pose."""
+    frames = forward(skeleton, relaxed_pose(skeleton))
+    bodies = augmented_bodies(skeleton, frames, augmented_body == "proximal")
+    effort = bodies.masses * bodies.arms
+    return effort / jnp.sum(effort) + LEAST_SHARE
+
+
 @settings
 class EasyPosture(Term):
-    """The secondary task, equation (9), as what it minimises; measured ``centre``, a pose.
+    """The secondary task, equation (9), as what it minimises.
 
-    Joints are relaxed by their share of the effort m_i h_i in the relaxed pose, in weighted
-    coordinates; the pelvis is upright. Where nothing else determines the pelvis, it is at the
-    centre.
+    Measured ``centre``, a pose, and ``effort`` (D,), ``effort_shares``. Joints are relaxed by their
+    share of the effort, in weighted coordinates; the pelvis is upright. Where nothing else
+    determines the pelvis, it is at the centre.
     """
 
     relaxation: Array = traced(0.9, "gain of (9)")
     uprightness: Array = traced(0.1, "gain of the pull of the pelvis to the upright")
     shift: Array = traced(1.0, "of the pelvis about the centre, metres")
     turn: Array = traced(1.0, "of its orientation, radians")
-    augmented_body: Literal["distal", "proximal"] = static("distal", "of (9)")
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(6 + D + 2,)."""
         skeleton, pose, centre = model.skeleton, body.pose, measured["centre"]
-        frames = forward(skeleton, relaxed_pose(skeleton))
-        bodies = augmented_bodies(skeleton, frames, self.augmented_body == "proximal")
-        effort = bodies.masses * bodies.arms
-        share = effort / jnp.sum(effort) + LEAST_SHARE
-        costs = skeleton.costs
-        away = (pose.angles - skeleton.relaxed) * costs[ROOT_DOF:]
-        upright = body.R_world_pelvis[:2, 2] * costs[3:5]
-        moved = difference(pose._replace(angles=centre.angles), centre)[:ROOT_DOF]
-        return jnp.concatenate(
-            [
-                moved[:3] / self.shift,
-                moved[3:] / self.turn,
-                away * jnp.sqrt(2 * self.relaxation * share),
-                upright * jnp.sqrt(self.uprightness),
-            ]
-        )
+        moved = (pose.position - centre.position) / self.shift
+        turned = self._turned(model, pose, measured, jnp.zeros_like(moved))
+        away = (pose.angles - skeleton.relaxed) * self._easing(model, measured)
+        return jnp.concatenate([moved, turned, away])
+
+    def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(6 + D + 2, 6 + D)."""
+        pose = body.pose
+        eye, still = jnp.eye(3, dtype=pose.angles.dtype), jnp.zeros_like(pose.position)
+        turned = jax.jacfwd(partial(self._turned, model, pose, measured))(still)
+        easing = jnp.diag(self._easing(model, measured))
+        return jax.scipy.linalg.block_diag(eye / self.shift, turned, easing)
+
+    def curvature(
+        self, model: Model, body: PosedBody, measured: Measurements, weights: Array
+    ) -> Array:
+        """(6 + D, 6 + D)."""
+        pose = body.pose
+
+        def turned(step: Array) -> Array:
+            return jnp.vdot(weights[3:8], self._turned(model, pose, measured, step))
+
+        bent = jax.jacfwd(jax.jacfwd(turned))(jnp.zeros_like(pose.position))
+        size = ROOT_DOF + pose.angles.size
+        return jnp.zeros((size, size), bent.dtype).at[3:ROOT_DOF, 3:ROOT_DOF].set(bent)
+
+    def _turned(self, model: Model, pose: Pose, measured: Measurements, step: Array) -> Array:
+        """(5,) turn from the centre and lean from the upright, a rotation vector (3,) on."""
+        here = pose._replace(angles=pose.angles[:0])
+        there = retract(here, jnp.concatenate([jnp.zeros_like(step), step]))
+        turn = difference(there, measured["centre"]._replace(angles=here.angles))[3:]
+        lean = quaternion_to_matrix(there.quaternion)[:2, 2] * model.skeleton.costs[3:5]
+        return jnp.concatenate([turn / self.turn, lean * jnp.sqrt(self.uprightness)])
+
+    def _easing(self, model: Model, measured: Measurements) -> Array:
+        """(D,) by which an angle off the relaxed one counts."""
+        costs = model.skeleton.costs[ROOT_DOF:]
+        return costs * jnp.sqrt(2 * self.relaxation * measured["effort"])
 
 
 @settings

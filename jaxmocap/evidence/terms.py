@@ -82,6 +82,15 @@ class Term(ABC):
         """
         return None
 
+    def curvature(
+        self, model: Model, body: PosedBody, measured: Measurements, weights: Array
+    ) -> Array | None:
+        """Second derivatives (6 + D, 6 + D) of the residual times ``weights``, of its shape.
+
+        None, as here, has them found by automatic differentiation.
+        """
+        return None
+
     @property
     def metres_per_deviation(self) -> Array | None:
         """The length that a residual of 1 stands for; None where residuals are no lengths."""
@@ -166,6 +175,49 @@ def linearised_term(
 
     r, push = jax.linearize(moved, still)
     return r, jax.vmap(push, -1, -1)(jnp.eye(still.size, dtype=still.dtype))
+
+
+def second_order(
+    terms: Sequence[Term], model: Model, pose: Pose, measured: Measurements
+) -> tuple[Array, Array, Array]:
+    """All residuals (R,), Jacobian (R, N) and sum of second derivatives times residuals (N, N).
+
+    Args:
+        terms: of the evidence.
+        model: of the person, the markers and the cameras.
+        pose: of the person; N = 6 + D.
+        measured: of this moment.
+    """
+    size = ROOT_DOF + pose.angles.size
+    body, still = posed_body(model, pose), jnp.zeros(size, pose.angles.dtype)
+    each, others, bending = [], [], jnp.zeros((size, size), still.dtype)
+    for term in terms:
+        r, J = term.residual(model, body, measured), term.jacobian(model, body, measured)
+        S = None if J is None else term.curvature(model, body, measured, r)
+        if J is None or S is None:
+            others.append(term)
+            each.append((r.ravel(), None))
+        else:
+            each.append((r.ravel(), J.reshape(-1, size)))
+            bending = bending + S
+    if others:
+        weights = jnp.concatenate([r for r, J in each if J is None])
+
+        def pull(step: Array) -> tuple[Array, Array]:
+            def found(further: Array) -> tuple[Array, Array]:
+                r = residuals(others, model, retract(retract(pose, step), further), measured)
+                return jnp.vdot(r, weights), r
+
+            return jax.grad(found, has_aux=True)(still)
+
+        _, push = jax.linearize(pull, still)
+        S, rest = jax.vmap(push, -1, -1)(jnp.eye(size, dtype=still.dtype))
+        bending = bending + (S + S.T) / 2
+        ends = np.cumsum([r.size for r, J in each if J is None])
+        left = iter(jnp.split(rest, ends[:-1]))
+        each = [(r, next(left) if J is None else J) for r, J in each]
+    r, J = (jnp.concatenate(parts) for parts in zip(*each, strict=True))
+    return r, J, bending
 
 
 def posed_body(model: Model, pose: Pose) -> PosedBody:

@@ -30,7 +30,7 @@ from jaxmocap.compilation.arguments import check_kind, check_shape
 from jaxmocap.compilation.programs import Program, program
 from jaxmocap.evidence.edges import EdgeFields, WeightedEdges
 from jaxmocap.evidence.markers import Goals
-from jaxmocap.evidence.posture import EasyPosture, NearPose
+from jaxmocap.evidence.posture import EasyPosture, effort_shares
 from jaxmocap.evidence.shapes import (
     checked,
     checked_markers,
@@ -38,10 +38,10 @@ from jaxmocap.evidence.shapes import (
     checked_pose,
     in_precision,
 )
-from jaxmocap.hybrid import step
 from jaxmocap.hybrid.elbow_search import no_belief
 from jaxmocap.hybrid.feet import FootPlacement, place, replant
-from jaxmocap.hybrid.ik import goals_of, reach, solve_ik
+from jaxmocap.hybrid.ik import goal_distances, goals_of, reach
+from jaxmocap.hybrid.ik_minimum import Another, lowest_pose
 from jaxmocap.hybrid.minimum import pose_at_minimum
 from jaxmocap.hybrid.observe import arm_regions, no_thresholds
 from jaxmocap.hybrid.observe import observe as edge_fields
@@ -78,10 +78,10 @@ def solve(
 ) -> Pose:
     """Markers to the pose at the optimum of inverse kinematics (section 4).
 
-    Algorithm 1 comes near; a descent then ends at the minimum of its goals, of the joints' limits
-    and of the secondary task. The derivatives are the minimum's, by the implicit function theorem:
-    by the model, the settings, the markers and, where there is one, the start. What no marker
-    determines is at ease, or where it began.
+    It is the minimum of the markers' goals and of the secondary task within the joints' limits.
+    The derivatives are the minimum's, by the implicit function theorem: by the model, the settings,
+    the markers and, where there is one, the start. What no marker determines is at ease, or where
+    it began.
 
     Args:
         model: of the person and M markers.
@@ -116,23 +116,22 @@ def _solved(model: Model, settings: Settings, markers: Array, start: Pose | None
     if start is not None:
         placed = start
         feet, _ = replant(model, ik, placed, _standing(model, placed), markers)
-    near = _near(*jax.lax.stop_gradient((model, settings, markers)), start, feet)
-    measured = {"goals": goals_of(model, ik, feet, markers), "centre": placed}
-    prior = EasyPosture(
-        relaxation=ik.relaxation, uprightness=ik.uprightness, augmented_body=ik.augmented_body
-    )
+    goals = goals_of(model, ik, feet, markers)
+    effort = effort_shares(model.skeleton, ik.augmented_body)
+    measured = {"goals": goals, "centre": placed, "effort": effort}
+    prior = EasyPosture(relaxation=ik.relaxation, uprightness=ik.uprightness)
     terms = (*ik.terms, in_precision(model, prior))
-    return pose_at_minimum(model, terms, measured, near, _usual(model))
-
-
-def _near(
-    model: Model, settings: Settings, markers: Array, start: Pose | None, feet: FootPlacement
-) -> Pose:
-    """Where algorithm 1 ends."""
     if start is None:
-        return step.start(model, settings, markers).pose
-    held, feet = jax.lax.stop_gradient((start, feet))
-    return solve_ik(model, settings.ik, held, feet, markers).pose
+        return lowest_pose(model, terms, measured, placed)
+    # A start that is far off may lie in a valley of its own.
+    far = jnp.max(goal_distances(model.skeleton, goals, start)) > FAR_OFF
+    other = Another(place(model, ik, markers)[0], jnp.where(far, WELL_MET, jnp.inf))
+    return lowest_pose(model, terms, measured, start, other)
+
+
+# Where a start misses a marker by more, metres, and its minimum costs more, nats, the placed body
+# is another start.
+FAR_OFF, WELL_MET = 0.1, 0.3
 
 
 def _standing(model: Model, pose: Pose) -> FootPlacement:
@@ -341,8 +340,3 @@ def _own_goals(model: Model, settings: Settings, pose: Pose) -> Goals:
 
 def _arms(model: Model, pose: Pose) -> Arms:
     return arms_of(model.skeleton, forward(model.skeleton, pose), model.grips)
-
-
-def _usual(model: Model) -> Array:
-    """Usual sizes (6 + D,) of a change of each degree of freedom, metres and radians."""
-    return in_precision(model, NearPose()).deviations(model.skeleton)

@@ -17,7 +17,8 @@ from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.terms import Measurements, Term, linearised, residuals
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.solvers.limits import room
-from jaxmocap.solvers.optimum import Costs, descend, least_squares_step, rests
+from jaxmocap.solvers.modified_newton import Costs, descend
+from jaxmocap.solvers.optimum import least_squares_step, rests
 
 # Steps of the descent, at most.
 STEPS = 100

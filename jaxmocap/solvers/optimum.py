@@ -1,15 +1,15 @@
-"""Minima within bounds that carry their own derivatives.
+"""Minima of squared residuals within bounds, that carry their own derivatives.
 
 A loop of steps has no useful derivative; the minimum x that it ends at has one. There the slope
 g(x, p) vanishes, and goes on doing so as p changes: H dx = -(dg/dp) dp, the implicit function
 theorem. One step from the minimum, its Hessian H held fixed, says just that, forwards, backwards
 and in batches.
 
-The descent takes the whole Hessian, not Gauss-Newton's: out of reach, where residuals are large,
-optimistix' Levenberg-Marquardt creeps, though it is ten times as quick within reach
-(``python -m bench.minima``).
+The descent is a damped Newton method with second-order corrections (Nocedal, Wright, Numerical
+Optimization, 18.3). It takes the residuals' second derivatives: out of reach, where residuals are
+large, Levenberg-Marquardt creeps (``python -m bench.minima``).
 
-INPUTS: a cost on any manifold, its slope, bounds. OUTPUTS: the minimum; steps that carry
+INPUTS: residuals on any manifold, their derivatives, bounds. OUTPUTS: the minimum; steps that carry
 derivatives.
 """
 
@@ -21,77 +21,173 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-# Factors on the last step's damping that each step tries.
-TRIED = (1e-3, 1e-1, 1.0, 1e1, 1e3)
-FIRST_DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-3, 1e-9, 1e9
+from jaxmocap.solvers.sdls import HIGHEST
+
+# Damping, as shares of the Hessian's diagonal, down to the precision; and its factors after a step
+# that lowered the cost, and after another.
+FIRST_DAMPING, LARGEST_DAMPING = 0.1, 1e6
+LOWERED, NOT_LOWERED = 0.3, 20.0
+# A step whose largest entry is this many roots of the precision is short. After one the damping
+# goes, and after another the descent ends.
+SHORT = 3.0
+# Costs that differ by less, as a share, are alike.
+ALIKE = 1e-5
+# The largest entry of a step, metres and radians.
+LARGEST_STEP = 0.7
+# Most solves of a step, as unknowns meet their bounds or curvature turns out negative.
+SOLVES = 5
 
 
-class Costs(NamedTuple):
-    """A cost of x, and how x moves: by tangent vectors (N,) at it.
+class Local(NamedTuple):
+    """Residuals about a point, to second order.
 
     Attributes:
-        cost: x to ().
-        slope: x and a tangent vector to the cost's derivative (N,) where that leads, in the tangent
-            space there.
+        residuals: (R,).
+        jacobian: (R, N) by a tangent vector.
+        second_order: (N, N) the sum of their second derivatives, each times its residual.
+    """
+
+    residuals: Array
+    jacobian: Array
+    second_order: Array
+
+    @property
+    def cost(self) -> Array:
+        """() half the sum of squares."""
+        return jnp.sum(self.residuals**2) / 2
+
+    @property
+    def slope(self) -> Array:
+        """(N,) the cost's derivative."""
+        return jnp.matmul(self.residuals, self.jacobian, precision=HIGHEST)
+
+
+class Problem(NamedTuple):
+    """Squared residuals of x, and how x moves: by tangent vectors (N,) at it.
+
+    Attributes:
+        residuals: x to (R,).
+        about: x to a ``Local``.
         move: x and a tangent vector to where it leads.
         room: x to the lowest and highest (N,) tangent vector within bounds.
     """
 
-    cost: Callable[[Any], Array]
-    slope: Callable[[Any, Array], Array]
+    residuals: Callable[[Any], Array]
+    about: Callable[[Any], Local]
     move: Callable[[Any, Array], Any]
     room: Callable[[Any], tuple[Array, Array]]
 
 
-def descend(costs: Costs, start: Any, scale: Array, steps: int) -> Any:
-    """The x of least cost near a start, by damped Newton steps; nothing is differentiated.
+class _Progress(NamedTuple):
+    """Between two steps: the best point so far, and the one that is tried next."""
 
-    Directions of negative curvature are gone down by as much. An unknown at its bound rests there
+    made: Array
+    best: Any
+    local: Local
+    tried: Any
+    damping: Array
+    short: Array
+    ended: Array
+
+
+def descend(problem: Problem, start: Any, steps: int) -> tuple[Any, Array]:
+    """The x of least cost near a start, and its cost; nothing is differentiated.
+
+    A step is Newton's where the damped Hessian is positive, else Gauss-Newton's. What the residuals
+    turn out to bend by along it, a second solve takes back. An unknown at its bound rests there
     while the slope pushes it outwards.
 
     Args:
-        costs: to minimise.
+        problem: to solve.
         start: within the bounds.
-        scale: (N,) usual sizes of a change.
         steps: at most.
     """
-    still = jnp.zeros_like(scale)
-    tiny = jnp.finfo(scale.dtype).eps
+    like = jax.eval_shape(problem.about, start)
+    dtype = like.residuals.dtype
+    precision = jnp.finfo(dtype).eps
+    small = SHORT * jnp.sqrt(precision)
 
-    def unfinished(carry: tuple[Array, Array, Array, Any]) -> Array:
-        count, goes_on, damping, _ = carry
-        return goes_on & (count < steps) & (damping < LARGEST_DAMPING)
+    def unfinished(now: _Progress) -> Array:
+        return ~now.ended & (now.made < steps)
 
-    def step(carry: tuple[Array, Array, Array, Any]) -> tuple[Array, Array, Array, Any]:
-        count, _, damping, x = carry
-        # At one go, as the prices below: written once more, the cost would compile once more.
-        H, g = jax.jacfwd(lambda step: 2 * (costs.slope(x, step),), has_aux=True)(still)
-        low, high = costs.room(x)
-        at_rest = rests(g, low, high)
-        scaled = jnp.where(at_rest, 0.0, scale)
-        values, vectors = jnp.linalg.eigh(scaled[:, None] * (H + H.T) / 2 * scaled)
-        sizes, along = jnp.abs(values), jnp.matmul(scaled * g, vectors)
+    def step(now: _Progress) -> _Progress:
+        # The point is linearised as it is tried, so that this is compiled once.
+        there, first = problem.about(now.tried), now.made == 0
+        # Where costs differ by rounding alone, the step still says where the minimum is.
+        lowered = first | now.short | (there.cost <= now.local.cost * (1 + ALIKE))
+        best, local = jax.tree.map(
+            lambda new, old: jnp.where(lowered, new, old),
+            (now.tried, there), (now.best, now.local),
+        )  # fmt: skip
+        factor = jnp.where(first, 1.0, jnp.where(lowered, LOWERED, NOT_LOWERED))
+        damping = jnp.clip(now.damping * factor, precision, LARGEST_DAMPING)
+        move = _corrected_step(problem, best, local, damping)
+        short = jnp.max(jnp.abs(move)) < small
+        ended = (short & now.short) | (damping >= LARGEST_DAMPING)
+        # Damping may be what makes it short.
+        damping = jnp.where(short, precision, damping)
+        tried = problem.move(best, move)
+        return _Progress(now.made + 1, best, local, tried, damping, short, ended)
 
-        def moved(damping: Array) -> Any:
-            curvature = sizes + damping
-            flat = curvature <= tiny * sizes[-1]
-            move = -jnp.matmul(vectors, jnp.where(flat, 0.0, along / jnp.where(flat, 1, curvature)))
-            return costs.move(x, jnp.clip(scaled * move, low, high))
+    unknown = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), like)
+    begun = _Progress(
+        jnp.zeros((), jnp.int32), start, Local(*unknown), start,
+        jnp.asarray(FIRST_DAMPING, dtype), jnp.zeros((), bool), jnp.zeros((), bool),
+    )  # fmt: skip
+    end = jax.lax.while_loop(unfinished, step, begun)
+    # The last step was too short for its cost to tell.
+    done = end.ended & end.short
+    x = jax.tree.map(lambda new, old: jnp.where(done, new, old), end.tried, end.best)
+    return x, end.local.cost
 
-        candidates = jnp.clip(damping * jnp.asarray(TRIED, scale.dtype), LEAST_DAMPING)
-        there = jax.vmap(moved)(candidates)
-        places = jax.tree.map(lambda new, old: jnp.concatenate([new, old[None]]), there, x)
-        prices = jax.vmap(costs.cost)(places)
-        here, best = prices[-1], jnp.argmin(jnp.nan_to_num(prices[:-1], nan=jnp.inf))
-        lower = prices[best] < here
-        promised = jnp.sum(along**2 / (sizes + LEAST_DAMPING)) / 2
-        x = jax.tree.map(lambda new, old: jnp.where(lower, new[best], old), places, x)
-        damping = jnp.where(lower, candidates[best], candidates[-1])
-        return count + 1, promised > tiny * (1e-3 + here), damping, x
 
-    damping = jnp.asarray(FIRST_DAMPING, scale.dtype)
-    first = (jnp.zeros((), jnp.int32), jnp.ones((), bool), damping, start)
-    return jax.lax.while_loop(unfinished, step, first)[3]
+def _corrected_step(problem: Problem, x: Any, local: Local, damping: Array) -> Array:
+    """A damped step (N,) within bounds, less what residuals bend by along it."""
+    r, J, S = local
+    low, high = problem.room(x)
+    slope, H = local.slope, jnp.matmul(J.T, J, precision=HIGHEST)
+    sizes = jnp.diagonal(H)
+
+    def unsolved(carry: tuple) -> Array:
+        count, again, *_ = carry
+        return again & (count < SOLVES)
+
+    def solve(carry: tuple) -> tuple:
+        count, _, curved, moves, fixed, _, _ = carry
+        A = H + curved * S
+        factor = _factor(A, moves, damping * sizes)
+        push = slope + jnp.matmul(A, fixed, precision=HIGHEST)
+        wanted = _solved(factor, jnp.where(moves, -push, 0.0))
+        positive = jnp.all(jnp.isfinite(wanted))
+        beyond = positive & moves & ((wanted < low) | (wanted > high))
+        step = jnp.clip(jnp.where(moves, wanted, fixed), low, high)
+        fixed = jnp.where(beyond, step, fixed)
+        again = ~positive | jnp.any(beyond)
+        curved, step = jnp.where(positive, curved, 0.0), jnp.where(positive, step, 0.0)
+        return count + 1, again, curved, moves & ~beyond, fixed, step, factor
+
+    still = jnp.zeros_like(slope)
+    first = (
+        jnp.zeros((), jnp.int32), jnp.ones((), bool), jnp.ones((), still.dtype),
+        ~rests(slope, low, high), still, still, jnp.eye(still.size, dtype=still.dtype),
+    )  # fmt: skip
+    *_, moves, _, step, factor = jax.lax.while_loop(unsolved, solve, first)
+    step = step * jnp.minimum(1.0, LARGEST_STEP / jnp.maximum(jnp.max(jnp.abs(step)), 1e-9))
+    bent = problem.residuals(problem.move(x, step)) - r - jnp.matmul(J, step, precision=HIGHEST)
+    back = _solved(factor, jnp.where(moves, -jnp.matmul(bent, J, precision=HIGHEST), 0.0))
+    shorter = jnp.sum(sizes * back**2) <= jnp.sum(sizes * step**2)
+    return jnp.clip(step + jnp.where(shorter, back, 0.0), low, high)
+
+
+def _factor(A: Array, moves: Array, ridge: Array) -> Array:
+    """Cholesky's factor of what moves of A (N, N), and 1 for what does not."""
+    free = jnp.where(moves[:, None] & moves, A, 0.0) + jnp.diag(jnp.where(moves, ridge, 1.0))
+    return jax.lax.linalg.cholesky(free, symmetrize_input=False)
+
+
+def _solved(factor: Array, right: Array) -> Array:
+    by = partial(jax.lax.linalg.triangular_solve, factor, left_side=True, lower=True)
+    return by(by(right[:, None]), transpose_a=True)[:, 0]
 
 
 def rests(slope: Array, low: Array, high: Array) -> Array:

@@ -38,8 +38,8 @@ from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
 from jaxmocap.evidence.keypoints import lines_of_sight
-from jaxmocap.evidence.markers import Goals, SearchedElbows
-from jaxmocap.evidence.posture import EasyPosture, EstimatedPose, NearEstimate
+from jaxmocap.evidence.markers import Goals, PointGoals, SearchedElbows
+from jaxmocap.evidence.posture import EasyPosture, EstimatedPose, NearEstimate, Pelvis
 from jaxmocap.evidence.terms import (
     Measurements,
     PosedBody,
@@ -47,6 +47,7 @@ from jaxmocap.evidence.terms import (
     linearised,
     linearised_term,
     residuals,
+    second_order,
 )
 from jaxmocap.geometry.cameras import project
 from jaxmocap.hybrid.gradient import Aims, refine_body
@@ -152,6 +153,7 @@ def another_moment() -> dict[str, Any]:
         "sight_lines": jax.tree.map(lambda part: part[1], lines),
         "goals": Goals(MODEL.effectors, targets, np.array([1.0, 1.0, 0.0, 0.8, 0.8])),
         "centre": pose,
+        "effort": np.linspace(0.01, 0.2, dofs - ROOT_DOF),
         "estimate": EstimatedPose(pose, np.eye(dofs) + 0.1, np.linspace(-1, 1, dofs)),
         "edges": jax.jit(EdgeEvidence.weighted)(AREA, MODEL, slanted_fields(), on_device(pose)),
     }
@@ -219,6 +221,48 @@ def test_every_terms_derivative_is_that_of_finite_differences(feet, pose):
         # Where markers hold the feet, the ground and balance are silent.
         silent = feet == "marked feet" and name in ("Ground", "Balance")
         assert (not ours.size) == silent, name
+
+
+@jax.jit
+def all_curvatures(terms, model, pose, measured):
+    """Second derivatives times residuals of terms, summed: (T, N, N) ours and by differences."""
+    still = jnp.zeros(ROOT_DOF + pose.angles.size)
+    steps = 1e-5 * jnp.eye(still.size)
+
+    def expected(term):
+        weights = jax.lax.stop_gradient(residuals((term,), model, pose, measured))
+
+        def pull(step):
+            def weighed(further):
+                there = retract(retract(pose, further), step)
+                return jnp.vdot(weights, residuals((term,), model, there, measured))
+
+            return jax.grad(weighed)(still)
+
+        ahead, behind = jax.vmap(pull)(steps), jax.vmap(pull)(-steps)
+        return symmetric((ahead - behind) / 2e-5)
+
+    def symmetric(matrix):
+        return (matrix + matrix.T) / 2
+
+    ours = [symmetric(second_order((term,), model, pose, measured)[2]) for term in terms]
+    return jnp.stack(ours), jnp.stack([expected(term) for term in terms])
+
+
+@hypothesis_settings(max_examples=5)
+@given(pose=poses(beyond=0.3))
+def test_the_second_order_of_goals_and_of_the_secondary_task_is_that_of_differences(pose):
+    measured = dict(another_moment())
+    assume(abs(np.dot(pose.quaternion, measured["centre"].quaternion)) > 0.2)
+    with double():
+        terms = (PointGoals(), EasyPosture(), Pelvis())
+        given_ = in_double((terms, MODEL, measured))
+        ours, expected = all_curvatures(given_[0], given_[1], on_device(pose), given_[2])
+        for term, mine, other in zip(terms, np.asarray(ours), np.asarray(expected), strict=True):
+            largest = max(1.0, np.abs(other).max())
+            np.testing.assert_allclose(
+                mine, other, atol=1e-5 * largest, err_msg=type(term).__name__
+            )
 
 
 # A term of one's own -----------------------------------------------------------------------------
