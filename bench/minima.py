@@ -30,7 +30,7 @@ from jaxmocap.evidence.terms import Measurements, residuals
 from jaxmocap.hybrid import step
 from jaxmocap.hybrid.feet import place
 from jaxmocap.hybrid.ik import goals_of
-from jaxmocap.hybrid.ik_minimum import lowest_pose
+from jaxmocap.hybrid.minimum import lowest_pose
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.solvers.least_squares import least_squares
 from jaxmocap.synthetic.movements.motions import table_tennis

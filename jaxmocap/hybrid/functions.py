@@ -41,8 +41,7 @@ from jaxmocap.evidence.shapes import (
 from jaxmocap.hybrid.elbow_search import no_belief
 from jaxmocap.hybrid.feet import FootPlacement, place, replant
 from jaxmocap.hybrid.ik import goal_distances, goals_of, reach
-from jaxmocap.hybrid.ik_minimum import Another, lowest_pose
-from jaxmocap.hybrid.minimum import pose_at_minimum
+from jaxmocap.hybrid.minimum import Another, lowest_pose, pose_at_minimum
 from jaxmocap.hybrid.observe import arm_regions, no_thresholds
 from jaxmocap.hybrid.observe import observe as edge_fields
 from jaxmocap.hybrid.refine import arms_at_minimum, refine_arms, search_elbows

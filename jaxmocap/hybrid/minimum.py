@@ -14,11 +14,12 @@ from jax import Array
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.evidence.terms import Measurements, Term, linearised, residuals
+from jaxmocap.evidence.terms import Measurements, Term, linearised, residuals, second_order
 from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.solvers import optimum
 from jaxmocap.solvers.limits import room
 from jaxmocap.solvers.modified_newton import Costs, descend
-from jaxmocap.solvers.optimum import least_squares_step, rests
+from jaxmocap.solvers.optimum import Local, Problem, least_squares_step, rests
 
 # Steps of the descent, at most.
 STEPS = 100
@@ -154,3 +155,120 @@ def _at_limits(model: Model, pose: Pose, moves: Array) -> Pose:
     angles = pose.angles
     limit = jnp.where(angles - low <= high - angles, low, high)
     return pose._replace(angles=jnp.where(moves[ROOT_DOF:], angles, limit))
+
+
+class Another(NamedTuple):
+    """Where to descend from as well.
+
+    Attributes:
+        start: another pose.
+        above: () cost of the first descent's end above which it is tried; the better end is taken.
+    """
+
+    start: Pose
+    above: Array
+
+
+def lowest_pose(
+    model: Model,
+    terms: Sequence[Term],
+    measured: Measurements,
+    start: Pose,
+    other: Another | None = None,
+) -> Pose:
+    """The pose near ``start`` that costs least; differentiable by all but the starts.
+
+    Joints rest at their limits where terms push them outwards; then they follow the limits.
+
+    Args:
+        model: of the person, the markers and the cameras.
+        terms: together they must determine every degree of freedom, a prior among them.
+        measured: of this moment.
+        start: to descend from.
+        other: another start.
+    """
+    evidence = (model, tuple(terms), measured)
+    held, start, other = jax.lax.stop_gradient((evidence, start, other))
+    return _carried(evidence, jax.lax.stop_gradient(_lowest(held, start, other)))
+
+
+def _lowest(evidence: tuple, start: Pose, other: Another | None) -> Pose:
+    """The end of the descents, nothing differentiated."""
+    model, terms, measured = evidence
+    low, high = model.skeleton.limits.T
+    problem = Problem(
+        lambda pose: residuals(terms, model, pose, measured),
+        lambda pose: Local(*second_order(terms, model, pose, measured)),
+        retract,
+        partial(_room, evidence),
+    )
+
+    def descended(start: Pose) -> tuple[Pose, Array]:
+        within = start._replace(angles=jnp.clip(start.angles, low, high))
+        return optimum.descend(problem, within, STEPS)
+
+    if other is None:
+        return descended(start)[0]
+
+    def unsatisfied(carry: tuple[Array, Pose, Array]) -> Array:
+        attempts, _, cost = carry
+        return (attempts == 0) | ((attempts == 1) & ~(cost <= other.above))
+
+    def attempt(carry: tuple[Array, Pose, Array]) -> tuple[Array, Pose, Array]:
+        # Both through here, so that the descent compiles once.
+        attempts, best, cost = carry
+        pose, price = descended(_where(attempts == 0, start, other.start))
+        better = price < cost
+        return attempts + 1, _where(better, pose, best), jnp.where(better, price, cost)
+
+    none = jnp.asarray(jnp.inf, start.angles.dtype)
+    return jax.lax.while_loop(unsatisfied, attempt, (jnp.zeros((), jnp.int32), start, none))[1]
+
+
+def _where(condition: Array, one: Pose, other: Pose) -> Pose:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
+
+
+@jax.custom_jvp
+def _carried(evidence: tuple, pose: Pose) -> Pose:
+    """The pose, with the derivatives of the minimum that it is at."""
+    return pose
+
+
+@_carried.defjvp
+def _carried_jvp(primals: tuple, tangents: tuple) -> tuple[Pose, Pose]:
+    evidence, pose = primals
+    there, about = _polished(evidence, pose)
+    still = jnp.zeros(about.moves.shape, about.residuals.dtype)
+
+    def changed(evidence: tuple) -> tuple[Array, Array, Pose]:
+        model, terms, measured = evidence
+        here = _at_limits(model, there, about.moves)
+        pull = _pull(evidence, here, about.residuals, still)
+        return residuals(terms, model, here, measured), pull, _at_limits(model, pose, about.moves)
+
+    *changes, limited = jax.jvp(changed, (evidence,), (tangents[0],))[1]
+    moved = jax.jvp(partial(retract, pose), (still,), (about.step(*changes),))[1]
+    return pose, moved._replace(angles=moved.angles + limited.angles)
+
+
+def _polished(evidence: tuple, pose: Pose) -> tuple[Pose, _About]:
+    """The minimum, as exactly as the precision allows, and the residuals there."""
+
+    def polish(pose: Pose, _: None) -> tuple[Pose, _About]:
+        about = _bent_about(evidence, pose)
+        there = retract(pose, about.step_within(*_room(evidence, pose)))
+        here = jnp.sum(about.residuals**2) / 2
+        # Where costs differ by rounding alone, the step still says where the minimum is.
+        ends = _cost(evidence, there) <= here + 1e-3 * (1e-3 + here)
+        return jax.tree.map(lambda new, old: jnp.where(ends, new, old), there, pose), about
+
+    pose, each = jax.lax.scan(polish, pose, None, POLISHING)
+    return pose, jax.tree.map(lambda part: part[-1], each)
+
+
+def _bent_about(evidence: tuple, pose: Pose) -> _About:
+    model, terms, measured = evidence
+    r, J, S = second_order(terms, model, pose, measured)
+    low, high = _room(evidence, pose)
+    return _About(r, J, S, ~rests(jnp.matmul(r, J, precision=HIGHEST), low, high))
