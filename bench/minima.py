@@ -30,7 +30,7 @@ from jaxmocap.evidence.terms import Measurements, residuals
 from jaxmocap.hybrid import step
 from jaxmocap.hybrid.feet import place
 from jaxmocap.hybrid.ik import goals_of
-from jaxmocap.hybrid.minimum import lowest_pose
+from jaxmocap.hybrid.minimum import pose_at_minimum
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.solvers.least_squares import least_squares
 from jaxmocap.synthetic.movements.motions import table_tennis
@@ -74,7 +74,7 @@ def rivals(model: Model) -> tuple[dict[str, Solve], Callable[[Pose, Measurements
         return jnp.sum(whitened(pose, measured) ** 2) / 2
 
     def ours(pose: Pose, measured: Measurements) -> Pose:
-        return lowest_pose(model, terms, measured, pose)
+        return pose_at_minimum(model, terms, measured, pose)
 
     def optimistix(steps: int, pose: Pose, measured: Measurements) -> Pose:
         tolerance = float(jnp.finfo(scale.dtype).eps) ** 0.75

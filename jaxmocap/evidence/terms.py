@@ -9,6 +9,7 @@ INPUTS: terms, a Model, a pose, what was measured. OUTPUTS: whitened residuals, 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -188,36 +189,49 @@ def second_order(
         pose: of the person; N = 6 + D.
         measured: of this moment.
     """
-    size = ROOT_DOF + pose.angles.size
-    body, still = posed_body(model, pose), jnp.zeros(size, pose.angles.dtype)
-    each, others, bending = [], [], jnp.zeros((size, size), still.dtype)
+    body, N = posed_body(model, pose), ROOT_DOF + pose.angles.size
+    still, each = jnp.zeros(N, pose.angles.dtype), []
+    bending = jnp.zeros((N, N), still.dtype)
     for term in terms:
         r, J = term.residual(model, body, measured), term.jacobian(model, body, measured)
         S = None if J is None else term.curvature(model, body, measured, r)
         if J is None or S is None:
-            others.append(term)
             each.append((r.ravel(), None))
         else:
-            each.append((r.ravel(), J.reshape(-1, size)))
+            each.append((r.ravel(), J.reshape(-1, N)))
             bending = bending + S
+    others = [term for term, (_, J) in zip(terms, each, strict=True) if J is None]
     if others:
-        weights = jnp.concatenate([r for r, J in each if J is None])
+        # Those without formulas at one go, and then back in the terms' order.
+        def moved(step: Array) -> Array:
+            return residuals(others, model, retract(pose, step), measured)
 
-        def pull(step: Array) -> tuple[Array, Array]:
-            def found(further: Array) -> tuple[Array, Array]:
-                r = residuals(others, model, retract(retract(pose, step), further), measured)
-                return jnp.vdot(r, weights), r
-
-            return jax.grad(found, has_aux=True)(still)
-
-        _, push = jax.linearize(pull, still)
-        S, rest = jax.vmap(push, -1, -1)(jnp.eye(size, dtype=still.dtype))
-        bending = bending + (S + S.T) / 2
-        ends = np.cumsum([r.size for r, J in each if J is None])
-        left = iter(jnp.split(rest, ends[:-1]))
+        r, push = jax.linearize(moved, still)
+        rows = jax.vmap(push, -1, -1)(jnp.eye(N, dtype=still.dtype))
+        ends = np.cumsum([r.size for r, J in each if J is None])[:-1]
+        left = iter(jnp.split(rows, ends))
         each = [(r, next(left) if J is None else J) for r, J in each]
+        S = jax.jacfwd(partial(pull, others, model, pose, measured, r))(still)
+        bending = bending + (S + S.T) / 2
     r, J = (jnp.concatenate(parts) for parts in zip(*each, strict=True))
     return r, J, bending
+
+
+def pull(
+    terms: Sequence[Term],
+    model: Model,
+    pose: Pose,
+    measured: Measurements,
+    weights: Array,
+    step: Array,
+) -> Array:
+    """Derivative (6 + D,) of residuals times weights (R,), where a step from a pose leads."""
+    there = retract(pose, step)
+
+    def weighed(further: Array) -> Array:
+        return jnp.vdot(residuals(terms, model, retract(there, further), measured), weights)
+
+    return jax.grad(weighed)(jnp.zeros_like(step))
 
 
 def posed_body(model: Model, pose: Pose) -> PosedBody:

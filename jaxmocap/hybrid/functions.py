@@ -41,7 +41,7 @@ from jaxmocap.evidence.shapes import (
 from jaxmocap.hybrid.elbow_search import no_belief
 from jaxmocap.hybrid.feet import FootPlacement, place, replant
 from jaxmocap.hybrid.ik import goal_distances, goals_of, reach
-from jaxmocap.hybrid.minimum import Another, lowest_pose, pose_at_minimum
+from jaxmocap.hybrid.minimum import Another, pose_at_minimum
 from jaxmocap.hybrid.observe import arm_regions, no_thresholds
 from jaxmocap.hybrid.observe import observe as edge_fields
 from jaxmocap.hybrid.refine import arms_at_minimum, refine_arms, search_elbows
@@ -108,29 +108,29 @@ def solve(
     return _solved(model, settings, markers, start and checked_pose("start", model, start))
 
 
+# Where a start misses a goal by more, metres, and its minimum costs more, nats, the placed body is
+# another start.
+FAR_OFF, WELL_MET = 0.1, 0.3
+
+
 @program("quick")
 def _solved(model: Model, settings: Settings, markers: Array, start: Pose | None) -> Pose:
     ik = settings.ik
     placed, feet = place(model, ik, markers)
     if start is not None:
-        placed = start
-        feet, _ = replant(model, ik, placed, _standing(model, placed), markers)
+        feet, _ = replant(model, ik, start, _standing(model, start), markers)
+    first = placed if start is None else start
     goals = goals_of(model, ik, feet, markers)
     effort = effort_shares(model.skeleton, ik.augmented_body)
-    measured = {"goals": goals, "centre": placed, "effort": effort}
+    measured = {"goals": goals, "centre": first, "effort": effort}
     prior = EasyPosture(relaxation=ik.relaxation, uprightness=ik.uprightness)
     terms = (*ik.terms, in_precision(model, prior))
     if start is None:
-        return lowest_pose(model, terms, measured, placed)
+        return pose_at_minimum(model, terms, measured, placed)
     # A start that is far off may lie in a valley of its own.
     far = jnp.max(goal_distances(model.skeleton, goals, start)) > FAR_OFF
-    other = Another(place(model, ik, markers)[0], jnp.where(far, WELL_MET, jnp.inf))
-    return lowest_pose(model, terms, measured, start, other)
-
-
-# Where a start misses a marker by more, metres, and its minimum costs more, nats, the placed body
-# is another start.
-FAR_OFF, WELL_MET = 0.1, 0.3
+    other = Another(placed, jnp.where(far, WELL_MET, jnp.inf))
+    return pose_at_minimum(model, terms, measured, start, other)
 
 
 def _standing(model: Model, pose: Pose) -> FootPlacement:
@@ -271,8 +271,7 @@ def _by_gradient(
     measured = {"edges": observed.edges, "goals": _own_goals(model, settings, pose), "centre": pose}
     if settings.search:
         measured["elbows"] = observed.elbows
-    scale = settings.gradient.near.deviations(model.skeleton)
-    return pose_at_minimum(model, settings.gradient_terms, measured, start, scale)
+    return pose_at_minimum(model, settings.gradient_terms, measured, start)
 
 
 def _by_simplex(

@@ -14,25 +14,39 @@ from jax import Array
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.evidence.terms import Measurements, Term, linearised, residuals, second_order
+from jaxmocap.evidence.terms import Measurements, Term, pull, residuals, second_order
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.solvers import optimum
 from jaxmocap.solvers.limits import room
-from jaxmocap.solvers.modified_newton import Costs, descend
-from jaxmocap.solvers.optimum import Local, Problem, least_squares_step, rests
+from jaxmocap.solvers.optimum import Local, Problem, descend, least_squares_step, rests
 
 # Steps of the descent, at most.
 STEPS = 100
-# Newton steps that end it, by a factorisation that single precision holds.
+# Newton steps before a derivative, by a factorisation that single precision holds.
 POLISHING = 4
 # Times that one of them is made, as limits are met.
 ROUNDS = 3
 
 
+class Another(NamedTuple):
+    """Where to descend from as well.
+
+    Attributes:
+        start: another pose.
+        above: () cost of the first descent's end above which it is tried; the better end is taken.
+    """
+
+    start: Pose
+    above: Array
+
+
 def pose_at_minimum(
-    model: Model, terms: Sequence[Term], measured: Measurements, start: Pose, scale: Array
+    model: Model,
+    terms: Sequence[Term],
+    measured: Measurements,
+    start: Pose,
+    other: Another | None = None,
 ) -> Pose:
-    """The pose near ``start`` that costs least; differentiable by all but the start and the scale.
+    """The pose near ``start`` that costs least; differentiable by all but the starts.
 
     Joints rest at their limits where terms push them outwards; then they follow the limits.
 
@@ -41,27 +55,48 @@ def pose_at_minimum(
         terms: together they must determine every degree of freedom, a prior among them.
         measured: of this moment.
         start: to descend from.
-        scale: (6 + D,) usual sizes of a change of each degree of freedom, metres and radians.
+        other: another start.
     """
-    evidence = (model, terms, measured)
-    held, start, scale = jax.lax.stop_gradient((evidence, start, scale))
-    low, high = held[0].skeleton.limits.T
-    start = start._replace(angles=jnp.clip(start.angles, low, high))
-    costs = Costs(partial(_cost, held), partial(_slope, held), retract, partial(_room, held))
-    pose = descend(costs, start, scale, STEPS)
+    evidence = (model, tuple(terms), measured)
+    held, start, other = jax.lax.stop_gradient((evidence, start, other))
+    return _following(evidence, jax.lax.stop_gradient(_lowest(held, start, other)))
 
-    def polish(pose: Pose, _: None) -> tuple[Pose, _About]:
-        about = _about(held, pose)
-        there = retract(pose, about.step_within(*costs.room(pose)))
-        here = jnp.sum(about.residuals**2) / 2
-        # Where costs differ by rounding alone, the step still says where the minimum is.
-        ends = costs.cost(there) <= here + 1e-3 * (1e-3 + here)
-        return jax.tree.map(lambda new, old: jnp.where(ends, new, old), there, pose), about
 
-    pose, all_about = jax.lax.scan(polish, pose, None, POLISHING)
-    about = jax.tree.map(lambda each: each[-1], all_about)
-    pose = _at_limits(model, pose, about.moves)
-    return retract(pose, _following(evidence, pose, about))
+def _lowest(evidence: tuple, start: Pose, other: Another | None) -> Pose:
+    """The end of the descents, nothing differentiated."""
+    model, terms, measured = evidence
+    low, high = model.skeleton.limits.T
+    problem = Problem(
+        lambda pose: residuals(terms, model, pose, measured),
+        lambda pose: Local(*second_order(terms, model, pose, measured)),
+        retract,
+        partial(_room, evidence),
+    )
+
+    def descended(start: Pose) -> tuple[Pose, Array]:
+        within = start._replace(angles=jnp.clip(start.angles, low, high))
+        return descend(problem, within, STEPS)
+
+    if other is None:
+        return descended(start)[0]
+
+    def unsatisfied(carry: tuple[Array, Pose, Array]) -> Array:
+        attempts, _, cost = carry
+        return (attempts == 0) | ((attempts == 1) & ~(cost <= other.above))
+
+    def attempt(carry: tuple[Array, Pose, Array]) -> tuple[Array, Pose, Array]:
+        # Both through here, so that the descent compiles once.
+        attempts, best, cost = carry
+        pose, price = descended(_where(attempts == 0, start, other.start))
+        better = price < cost
+        return attempts + 1, _where(better, pose, best), jnp.where(better, price, cost)
+
+    none = jnp.asarray(jnp.inf, start.angles.dtype)
+    return jax.lax.while_loop(unsatisfied, attempt, (jnp.zeros((), jnp.int32), start, none))[1]
+
+
+def _where(condition: Array, one: Pose, other: Pose) -> Pose:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
 
 
 class _About(NamedTuple):
@@ -98,48 +133,56 @@ class _About(NamedTuple):
         return jax.lax.fori_loop(0, ROUNDS, limited, (jnp.zeros_like(low), self.moves))[0]
 
 
+@jax.custom_jvp
+def _following(evidence: tuple, pose: Pose) -> Pose:
+    """The pose, with the derivatives of the minimum that it is at."""
+    return pose
+
+
+@_following.defjvp
+def _following_jvp(primals: tuple, tangents: tuple) -> tuple[Pose, Pose]:
+    evidence, pose = primals
+    there, about = _polished(evidence, pose)
+    still = jnp.zeros(about.moves.shape, about.residuals.dtype)
+
+    def changed(evidence: tuple) -> tuple[Array, Array, Pose]:
+        model, terms, measured = evidence
+        here = _at_limits(model, there, about.moves)
+        now = residuals(terms, model, here, measured)
+        pulled = pull(terms, model, here, measured, about.residuals, still)
+        return now, pulled, _at_limits(model, pose, about.moves)
+
+    *changes, limited = jax.jvp(changed, (evidence,), (tangents[0],))[1]
+    moved = jax.jvp(partial(retract, pose), (still,), (about.step(*changes),))[1]
+    return pose, moved._replace(angles=moved.angles + limited.angles)
+
+
+def _polished(evidence: tuple, pose: Pose) -> tuple[Pose, _About]:
+    """The minimum, as exactly as the precision allows, and the residuals there."""
+
+    def polish(pose: Pose, _: None) -> tuple[Pose, _About]:
+        about = _about(evidence, pose)
+        there = retract(pose, about.step_within(*_room(evidence, pose)))
+        here = jnp.sum(about.residuals**2) / 2
+        # Where costs differ by rounding alone, the step still says where the minimum is.
+        ends = _cost(evidence, there) <= here + 1e-3 * (1e-3 + here)
+        return jax.tree.map(lambda new, old: jnp.where(ends, new, old), there, pose), about
+
+    pose, each = jax.lax.scan(polish, pose, None, POLISHING)
+    return pose, jax.tree.map(lambda part: part[-1], each)
+
+
 def _about(evidence: tuple, pose: Pose) -> _About:
     model, terms, measured = evidence
-    no_proportions = jnp.zeros(0, pose.angles.dtype)
-    linear = linearised(terms, model, no_proportions, pose, measured)
-    r, J = linear.residuals, linear.jacobian
-    pull = partial(_pull, evidence, pose, r)
+    r, J, S = second_order(terms, model, pose, measured)
     low, high = _room(evidence, pose)
-    at_rest = rests(jnp.matmul(r, J, precision=HIGHEST), low, high)
-    second_order = jax.jacfwd(pull)(jnp.zeros_like(low))
-    return _About(r, J, second_order, ~at_rest)
-
-
-def _pull(evidence: tuple, pose: Pose, weights: Array, step: Array) -> Array:
-    """(6 + D,) derivative of residuals times weights (R,), where a step from a pose leads."""
-    model, terms, measured = evidence
-    there = retract(pose, step)
-
-    def weighed(further: Array) -> Array:
-        return jnp.vdot(residuals(terms, model, retract(there, further), measured), weights)
-
-    return jax.grad(weighed)(jnp.zeros_like(step))
-
-
-def _following(evidence: tuple, pose: Pose, about: _About) -> Array:
-    """No step (6 + D,), with the derivatives of the minimum that a pose is at."""
-    model, terms, measured = evidence
-    still = jnp.zeros(about.moves.shape, about.residuals.dtype)
-    now = residuals(terms, model, pose, measured)
-    pull = _pull(evidence, pose, about.residuals, still)
-    return about.step(*(part - jax.lax.stop_gradient(part) for part in (now, pull)))
+    return _About(r, J, S, ~rests(jnp.matmul(r, J, precision=HIGHEST), low, high))
 
 
 def _cost(evidence: tuple, pose: Pose) -> Array:
     """() half the squares of all residuals."""
     model, terms, measured = evidence
     return jnp.sum(residuals(terms, model, pose, measured) ** 2) / 2
-
-
-def _slope(evidence: tuple, pose: Pose, step: Array) -> Array:
-    """(6 + D,) the cost's derivative where a step from the pose leads, by tangent vectors there."""
-    there = retract(pose, step)
-    return jax.grad(lambda further: _cost(evidence, retract(there, further)))(jnp.zeros_like(step))
 
 
 def _room(evidence: tuple, pose: Pose) -> tuple[Array, Array]:
@@ -155,120 +198,3 @@ def _at_limits(model: Model, pose: Pose, moves: Array) -> Pose:
     angles = pose.angles
     limit = jnp.where(angles - low <= high - angles, low, high)
     return pose._replace(angles=jnp.where(moves[ROOT_DOF:], angles, limit))
-
-
-class Another(NamedTuple):
-    """Where to descend from as well.
-
-    Attributes:
-        start: another pose.
-        above: () cost of the first descent's end above which it is tried; the better end is taken.
-    """
-
-    start: Pose
-    above: Array
-
-
-def lowest_pose(
-    model: Model,
-    terms: Sequence[Term],
-    measured: Measurements,
-    start: Pose,
-    other: Another | None = None,
-) -> Pose:
-    """The pose near ``start`` that costs least; differentiable by all but the starts.
-
-    Joints rest at their limits where terms push them outwards; then they follow the limits.
-
-    Args:
-        model: of the person, the markers and the cameras.
-        terms: together they must determine every degree of freedom, a prior among them.
-        measured: of this moment.
-        start: to descend from.
-        other: another start.
-    """
-    evidence = (model, tuple(terms), measured)
-    held, start, other = jax.lax.stop_gradient((evidence, start, other))
-    return _carried(evidence, jax.lax.stop_gradient(_lowest(held, start, other)))
-
-
-def _lowest(evidence: tuple, start: Pose, other: Another | None) -> Pose:
-    """The end of the descents, nothing differentiated."""
-    model, terms, measured = evidence
-    low, high = model.skeleton.limits.T
-    problem = Problem(
-        lambda pose: residuals(terms, model, pose, measured),
-        lambda pose: Local(*second_order(terms, model, pose, measured)),
-        retract,
-        partial(_room, evidence),
-    )
-
-    def descended(start: Pose) -> tuple[Pose, Array]:
-        within = start._replace(angles=jnp.clip(start.angles, low, high))
-        return optimum.descend(problem, within, STEPS)
-
-    if other is None:
-        return descended(start)[0]
-
-    def unsatisfied(carry: tuple[Array, Pose, Array]) -> Array:
-        attempts, _, cost = carry
-        return (attempts == 0) | ((attempts == 1) & ~(cost <= other.above))
-
-    def attempt(carry: tuple[Array, Pose, Array]) -> tuple[Array, Pose, Array]:
-        # Both through here, so that the descent compiles once.
-        attempts, best, cost = carry
-        pose, price = descended(_where(attempts == 0, start, other.start))
-        better = price < cost
-        return attempts + 1, _where(better, pose, best), jnp.where(better, price, cost)
-
-    none = jnp.asarray(jnp.inf, start.angles.dtype)
-    return jax.lax.while_loop(unsatisfied, attempt, (jnp.zeros((), jnp.int32), start, none))[1]
-
-
-def _where(condition: Array, one: Pose, other: Pose) -> Pose:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
-
-
-@jax.custom_jvp
-def _carried(evidence: tuple, pose: Pose) -> Pose:
-    """The pose, with the derivatives of the minimum that it is at."""
-    return pose
-
-
-@_carried.defjvp
-def _carried_jvp(primals: tuple, tangents: tuple) -> tuple[Pose, Pose]:
-    evidence, pose = primals
-    there, about = _polished(evidence, pose)
-    still = jnp.zeros(about.moves.shape, about.residuals.dtype)
-
-    def changed(evidence: tuple) -> tuple[Array, Array, Pose]:
-        model, terms, measured = evidence
-        here = _at_limits(model, there, about.moves)
-        pull = _pull(evidence, here, about.residuals, still)
-        return residuals(terms, model, here, measured), pull, _at_limits(model, pose, about.moves)
-
-    *changes, limited = jax.jvp(changed, (evidence,), (tangents[0],))[1]
-    moved = jax.jvp(partial(retract, pose), (still,), (about.step(*changes),))[1]
-    return pose, moved._replace(angles=moved.angles + limited.angles)
-
-
-def _polished(evidence: tuple, pose: Pose) -> tuple[Pose, _About]:
-    """The minimum, as exactly as the precision allows, and the residuals there."""
-
-    def polish(pose: Pose, _: None) -> tuple[Pose, _About]:
-        about = _bent_about(evidence, pose)
-        there = retract(pose, about.step_within(*_room(evidence, pose)))
-        here = jnp.sum(about.residuals**2) / 2
-        # Where costs differ by rounding alone, the step still says where the minimum is.
-        ends = _cost(evidence, there) <= here + 1e-3 * (1e-3 + here)
-        return jax.tree.map(lambda new, old: jnp.where(ends, new, old), there, pose), about
-
-    pose, each = jax.lax.scan(polish, pose, None, POLISHING)
-    return pose, jax.tree.map(lambda part: part[-1], each)
-
-
-def _bent_about(evidence: tuple, pose: Pose) -> _About:
-    model, terms, measured = evidence
-    r, J, S = second_order(terms, model, pose, measured)
-    low, high = _room(evidence, pose)
-    return _About(r, J, S, ~rests(jnp.matmul(r, J, precision=HIGHEST), low, high))

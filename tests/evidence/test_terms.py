@@ -265,6 +265,18 @@ def test_the_second_order_of_goals_and_of_the_secondary_task_is_that_of_differen
             )
 
 
+def test_the_second_order_keeps_the_order_of_terms():
+    """Formulas or none: rows are where the residuals have them."""
+    terms = (Pelvis(), PointGoals(), SearchedElbows(), EasyPosture(), EdgeEvidence())
+    with double():
+        terms, model, measured = in_double((terms, MODEL, another_moment()))
+        pose = jax.tree.map(lambda part: part + 0.01, measured["centre"])
+        r, J, _ = jax.jit(second_order)(terms, model, pose, measured)
+        expected = jax.jit(linearised)(terms, model, jnp.zeros(0), pose, measured)
+    np.testing.assert_allclose(r, expected.residuals, atol=1e-9)
+    np.testing.assert_allclose(J, expected.jacobian, atol=1e-6)
+
+
 # A term of one's own -----------------------------------------------------------------------------
 
 
