@@ -17,8 +17,9 @@ from bench.metrics import Metric, stage_metrics
 from jaxmocap.capture.video import open_video
 from jaxmocap.evidence.markers import Goals
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.hybrid import ik
-from jaxmocap.hybrid.observe import observe
+from jaxmocap.hybrid.ik import goals_of
+from jaxmocap.hybrid.observe import edge_fields
+from jaxmocap.hybrid.paper import ik as paper_ik
 from jaxmocap.hybrid.refine import Solved
 from jaxmocap.hybrid.settings import Settings, SimplexSettings
 from jaxmocap.hybrid.step import SOLVE
@@ -45,7 +46,7 @@ def inverse_kinematics(recording: Recording, solves: int) -> Iterator[Metric]:
     tracker = make_tracker(recording, Settings(refine="none"))
     model, settings = tracker.model, tracker.settings.ik
     # For one person: handing over a model's arrays takes as long as an iteration.
-    solve = jax.jit(partial(ik.reach, model, settings))
+    solve = jax.jit(partial(paper_ik.reach, model, settings))
     state = tracker.init(recording.positions_world[0])
     ours, theirs, farthest = [], [], 0.0
     for turn, markers in enumerate(recording.positions_world[1 : solves + 2]):
@@ -70,7 +71,7 @@ def inverse_kinematics(recording: Recording, solves: int) -> Iterator[Metric]:
 def goals_at(tracker: HybridTracker, state: State, markers: np.ndarray) -> Goals:
     """Where a sample's markers and the feet are to go."""
     targets = jnp.asarray(markers, tracker.model.dtype)
-    return ik.goals_of(tracker.model, tracker.settings.ik, state.feet, targets)
+    return goals_of(tracker.model, tracker.settings.ik, state.feet, targets)
 
 
 def full_frames(recording: Recording) -> Iterator[Metric]:
@@ -107,7 +108,7 @@ def observed(
     model, settings = tracker.model, tracker.settings
     solved = SOLVE(model, settings, state.pose, state.feet, markers)
     assert solved.region is not None
-    spent, (fields, _) = timed(observe, settings, state.thresholds, [image], solved.region)
+    spent, (fields, _) = timed(edge_fields, settings, state.thresholds, [image], solved.region)
     origin, scale = (np.asarray(part, float)[0] for part in solved.region)
     distances, camera = np.asarray(fields.distances)[0, :, 0], model.camera(0)
     camera = jax.tree.map(np.asarray, camera)

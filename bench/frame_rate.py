@@ -27,7 +27,7 @@ from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import open_video
-from jaxmocap.hybrid.observe import observe
+from jaxmocap.hybrid.observe import edge_fields
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import REFINE, SOLVE
 from jaxmocap.hybrid.tracker import HybridTracker
@@ -170,7 +170,7 @@ def starting(tracker: HybridTracker, footage: Footage) -> Iterator[Metric]:
     )
     yield from start_up("start: solve", SOLVE, *solve)
     solved = SOLVE(*solve)
-    fields, _ = observe(settings, state.thresholds, [footage.images[0]], solved.region)
+    fields, _ = edge_fields(settings, state.thresholds, [footage.images[0]], solved.region)
     elapsed = np.asarray(0.0, model.dtype)
     refine = (model, settings, tracker.bow_factors, solved, targets, fields, state.belief, elapsed)
     yield from start_up("start: refine", REFINE, *refine)

@@ -28,7 +28,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.silhouettes import LegGrid, SilhouetteGrids
-from jaxmocap.hybrid.observe import observe
+from jaxmocap.hybrid.observe import edge_fields
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import (
     EventFields,
@@ -155,10 +155,10 @@ def _fields(
     settings, thresholds, each = tracker.settings, state.thresholds, []
     for event, frames in enumerate(images):
         region = jax.tree.map(lambda part, e=event: part[e], regions)
-        fields, thresholds = observe(settings, thresholds, frames, region)
+        fields, thresholds = edge_fields(settings, thresholds, frames, region)
         each.append(None if frames is None else fields)
     first = jax.tree.map(lambda part: part[0], regions)
-    nothing, _ = observe(settings, thresholds, None, first)
+    nothing, _ = edge_fields(settings, thresholds, None, first)
     return EventFields.of(nothing, each)
 
 

@@ -20,7 +20,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import Tree
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.step import solve
+from jaxmocap.hybrid.step import solve_event
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.solvers.sdls import sdls_step
 
@@ -134,7 +134,9 @@ def by_recordings(footage: Footage) -> Iterator[Metric]:
 
     @jax.jit
     def solve_all(poses, feet, targets):
-        return jax.vmap(lambda *each: solve(model, settings, *each).ik.pose)(poses, feet, targets)
+        return jax.vmap(lambda *each: solve_event(model, settings, *each).ik.pose)(
+            poses, feet, targets
+        )
 
     steps: dict[str, Callable[[], object]] = {}
     for count in RECORDINGS:

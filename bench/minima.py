@@ -20,17 +20,17 @@ from jax import Array
 from bench.clock import timed
 from bench.command_line import command
 from bench.metrics import Metric, stage_metrics, table, write_json
-from jaxmocap.body.kinematics import landmark_sites
+from jaxmocap.body.kinematics import forward, landmark_sites
 from jaxmocap.body.model import Model, on_unmarked_feet
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.limits import JointLimits
-from jaxmocap.evidence.posture import EasyPosture, NearPose, effort_shares
+from jaxmocap.evidence.posture import EasyPosture, LastPose, NearPose, effort_shares
 from jaxmocap.evidence.terms import Measurements, residuals
-from jaxmocap.hybrid import step
 from jaxmocap.hybrid.feet import place
 from jaxmocap.hybrid.ik import goals_of
 from jaxmocap.hybrid.minimum import pose_at_minimum
+from jaxmocap.hybrid.paper import ik as paper_ik
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.solvers.least_squares import least_squares
 from jaxmocap.synthetic.movements.motions import table_tennis
@@ -52,11 +52,11 @@ def problems(model: Model, markers: np.ndarray) -> Iterator[tuple[Pose, Measurem
 
     @jax.jit
     def posed(targets: Array) -> tuple[Pose, Measurements]:
-        start = step.start(model, settings, targets)
         placed, feet = place(model, settings.ik, targets)
-        effort = effort_shares(model.skeleton, "distal")
+        effort = effort_shares(model.skeleton, forward(model.skeleton, placed), "distal")
         goals = goals_of(model, settings.ik, feet, targets)
-        return start.pose, {"goals": goals, "centre": placed, "effort": effort}
+        start, _ = paper_ik.reach(model, settings.ik, {"goals": goals}, placed)
+        return start, {"goals": goals, "last": LastPose(placed, effort, False)}
 
     for targets in markers:
         yield posed(jnp.asarray(targets, model.dtype))
@@ -74,7 +74,7 @@ def rivals(model: Model) -> tuple[dict[str, Solve], Callable[[Pose, Measurements
         return jnp.sum(whitened(pose, measured) ** 2) / 2
 
     def ours(pose: Pose, measured: Measurements) -> Pose:
-        return pose_at_minimum(model, terms, measured, pose)
+        return pose_at_minimum(model, terms, measured, pose)[0]
 
     def optimistix(steps: int, pose: Pose, measured: Measurements) -> Pose:
         tolerance = float(jnp.finfo(scale.dtype).eps) ** 0.75

@@ -30,11 +30,11 @@ from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
-from jaxmocap.hybrid import refine
+from jaxmocap.hybrid import fit, refine
 from jaxmocap.hybrid.elbow_search import ElbowBelief
-from jaxmocap.hybrid.gradient import Aims, refine_body
+from jaxmocap.hybrid.fit import Aims, refine_arms, refine_body
 from jaxmocap.hybrid.ik import goals_of
-from jaxmocap.hybrid.observe import observe
+from jaxmocap.hybrid.observe import edge_fields
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import SOLVE
 from jaxmocap.hybrid.tracker import HybridTracker
@@ -44,6 +44,7 @@ from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.solvers.status import Status
 
 GRADIENTS = {
+    "Newton": "newton",
     "Levenberg-Marquardt": "levenberg-marquardt",
     "Gauss-Newton": "gauss-newton",
     "BFGS": "bfgs",
@@ -52,7 +53,7 @@ RIVALS = ("simplex", *GRADIENTS)
 # Enough for every rival to come to rest; and what its pace is taken from.
 PLENTY, FEW = {"simplex": 400, "BFGS": 300}, (2, 8)
 # Quasi-Newton steps are short at first: what is rest to the others is only a slow start to it.
-RESTING = {"Levenberg-Marquardt": 1e-2, "Gauss-Newton": 1e-2, "BFGS": 1e-4}
+RESTING = {"Newton": 1e-2, "Levenberg-Marquardt": 1e-2, "Gauss-Newton": 1e-2, "BFGS": 1e-4}
 REPEATS = 3
 # Where a recording names its elbows as Pose2Sim does, or as we do.
 NAMES = (("LElbow", "RElbow"), ("elbow_l", "elbow_r"))
@@ -134,7 +135,7 @@ def frames(recording: Recording, tracker: HybridTracker, truth: Path) -> Iterato
             markers, before = events.markers_world[event].astype(model.dtype), after
             after, *_ = tracker.step(before, time, markers, images)
             solved = SOLVE(model, settings, before.pose, before.feet, markers)
-            fields, _ = observe(settings, before.thresholds, images, solved.region)
+            fields, _ = edge_fields(settings, before.thresholds, images, solved.region)
             if np.any(fields.available):
                 elapsed = 0.0 if before.time is None else time - before.time
                 belief = before.belief._replace(age=before.belief.age + elapsed)
@@ -171,11 +172,12 @@ def rival(tracker: HybridTracker, name: str, steps: int) -> Callable[[Frame], En
     model, settings = tracker.model, with_steps(tracker.settings, name, steps)
 
     def by_simplex(start: Pose, fields: EdgeFields, grip: Array, aims: Aims) -> Ended:
-        pose = refine.refine_arms(model, settings, fields, start, grip, aims.elbows)
+        pose = refine_arms(model, settings, fields, start, grip, aims.elbows)
         return Ended(_elbows(tracker, pose), jnp.asarray(True))
 
     def by_gradient(start: Pose, fields: EdgeFields, grip: Array, aims: Aims) -> Ended:
-        pose, *_, status = refine_body(model, settings, fields, start, aims)
+        edges = settings.edges.weighted(model, fields, start)
+        pose, status = refine_body(model, settings, edges, start, aims)
         return Ended(_elbows(tracker, pose), status == int(Status.CONVERGED))
 
     chosen = jax.jit(by_simplex if name == "simplex" else by_gradient)
@@ -222,7 +224,7 @@ def evaluations(tracker: HybridTracker, given: list[Frame], name: str, steps: in
 
         return run
 
-    at = (refine, "swing") if name == "simplex" else (EdgeEvidence, "residual")
+    at = (fit, "swing") if name == "simplex" else (EdgeEvidence, "residual")
     with mock.patch.object(*at, counted(getattr(*at))):
         run = rival(tracker, name, steps)
         for frame in given:

@@ -2,15 +2,14 @@
 
 Head, wrists and ankles (five bones' joints) follow a moving body at 30 Hz. Everybody starts each
 frame from its own last pose and iterates until the farthest target is met within a millimetre, or
-for a while. Ours minds limits and draws the body to a relaxed pose on the way; the tracker makes
-some steps in any case, so that this goes on while a person stands: that is "ours_settling".
+for a while. Ours minds limits and draws the body to a relaxed pose on the way; it goes on to the
+minimum. "ours_sdls" is the paper's algorithm 1.
 
 INPUTS: a skeleton, a made-up motion. OUTPUTS: Metrics.
 """
 
 import logging
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -109,8 +108,8 @@ def followed(
 def everybody(skeleton: Skeleton, start: Pose, without: set[str]) -> Mapping[str, Follower]:
     """Name -> who follows, each with limits minded and not, where it can do both."""
     followers = {
-        "ours": ours(skeleton, start, settle=1),
-        "ours_settling": ours(skeleton, start),
+        "ours": ours(skeleton, start, IKSettings()),
+        "ours_sdls": ours(skeleton, start, IKSettings(solver="sdls")),
         "mujoco_and_numpy": damped_steps(skeleton, start),
         "scipy": by_scipy(skeleton, start, limits=False),
         "scipy_limits": by_scipy(skeleton, start, limits=True),
@@ -122,11 +121,8 @@ def everybody(skeleton: Skeleton, start: Pose, without: set[str]) -> Mapping[str
     return followers
 
 
-def ours(skeleton: Skeleton, start: Pose, **steps: int) -> Follower:
-    """Algorithm 1 with limits and secondary task, the tracker's ``steps`` or others.
-
-    NumPy in, NumPy out.
-    """
+def ours(skeleton: Skeleton, start: Pose, settings: IKSettings) -> Follower:
+    """The tracker's way or the paper's, with limits and secondary task; NumPy in, NumPy out."""
     bones = np.array([skeleton.tree.bone(name) for name in REACHING], np.int32)
     sites = Sites(bones, jnp.zeros(len(bones)), jnp.zeros((len(bones), 3)))
     weights = jnp.ones(len(bones))
@@ -134,10 +130,10 @@ def ours(skeleton: Skeleton, start: Pose, **steps: int) -> Follower:
     @jax.jit
     def solve(skeleton, settings, pose, targets):
         measured = {"goals": Goals(sites, targets, weights)}
-        pose, _ = ik.reach(Model.create(skeleton), settings, measured, pose)
+        pose = ik.reach(Model.create(skeleton), settings, measured, pose)
         return pose, forward(skeleton, pose).joints_world[bones]
 
-    settings, last = replace(IKSettings(), tolerance=TOLERANCE_M, **steps), [start]
+    last = [start]
 
     def follow(targets: np.ndarray) -> np.ndarray:
         last[0], points = solve(skeleton, settings, last[0], np.asarray(targets, np.float32))

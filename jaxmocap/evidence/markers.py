@@ -18,7 +18,6 @@ from jaxmocap.body.kinematics import (
     site_positions,
 )
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term, points_on
@@ -49,7 +48,7 @@ class MarkerPositions(Term):
     def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(M, 3, 6 + D)."""
         present = are_present(measured["markers"])[:, None, None]
-        return jnp.where(present, _jacobian(model, body.pose, model.markers) / self.deviation, 0.0)
+        return jnp.where(present, _jacobian(model, body, model.markers) / self.deviation, 0.0)
 
     @property
     def metres_per_deviation(self) -> Array:
@@ -91,7 +90,7 @@ class PointGoals(Term):
         """(M, 3, 6 + D): equation (4), with the goals' weights."""
         goals = measured["goals"]
         weights = (goals.weights / self.deviation)[:, None, None]
-        return weights * _jacobian(model, body.pose, goals.sites)
+        return weights * _jacobian(model, body, goals.sites)
 
     def curvature(
         self, model: Model, body: PosedBody, measured: Measurements, weights: Array
@@ -99,7 +98,7 @@ class PointGoals(Term):
         """(6 + D, 6 + D)."""
         goals = measured["goals"]
         forces = (goals.weights / self.deviation)[:, None] * weights
-        return _curvature(model, body.pose, goals.sites, forces)
+        return _curvature(model, body, goals.sites, forces)
 
     @property
     def metres_per_deviation(self) -> Array:
@@ -124,8 +123,18 @@ class ElbowGoals(Term):
         if "elbows" not in measured:
             return jnp.zeros((0, 3, model.skeleton.costs.size), body.landmarks.dtype)
         present = are_present(measured["elbows"])[:, None, None]
-        sites = landmark_sites(model.skeleton, ("elbow_l", "elbow_r"))
-        return jnp.where(present, _jacobian(model, body.pose, sites) / self.deviation, 0.0)
+        J = _jacobian(model, body, _elbow_sites(model))
+        return jnp.where(present, J / self.deviation, 0.0)
+
+    def curvature(
+        self, model: Model, body: PosedBody, measured: Measurements, weights: Array
+    ) -> Array:
+        """(6 + D, 6 + D)."""
+        if "elbows" not in measured:
+            return jnp.zeros((model.skeleton.costs.size,) * 2, weights.dtype)
+        present = are_present(measured["elbows"])[:, None]
+        forces = jnp.where(present, weights / self.deviation, 0.0)
+        return _curvature(model, body, _elbow_sites(model), forces)
 
     @property
     def metres_per_deviation(self) -> Array:
@@ -133,16 +142,20 @@ class ElbowGoals(Term):
         return self.deviation
 
 
-def _jacobian(model: Model, pose: Pose, sites: Sites) -> Array:
+def _elbow_sites(model: Model) -> Sites:
+    return landmark_sites(model.skeleton, ("elbow_l", "elbow_r"))
+
+
+def _jacobian(model: Model, body: PosedBody, sites: Sites) -> Array:
     """(M, 3, 6 + D) of points on bones: equation (4) without its weight."""
-    frames = forward(model.skeleton, pose)
+    frames = body.frames or forward(model.skeleton, body.pose)
     points = site_positions(model.skeleton, frames, sites)
     return jacobian(model.skeleton, frames, sites.bones, points)
 
 
-def _curvature(model: Model, pose: Pose, sites: Sites, forces: Array) -> Array:
+def _curvature(model: Model, body: PosedBody, sites: Sites, forces: Array) -> Array:
     """Second derivatives (6 + D, 6 + D) of points on bones times forces (M, 3)."""
-    frames = forward(model.skeleton, pose)
+    frames = body.frames or forward(model.skeleton, body.pose)
     points = site_positions(model.skeleton, frames, sites)
     return curvature(model.skeleton, frames, sites.bones, points, forces)
 

@@ -3,7 +3,6 @@
 INPUTS: a posed body, where the markers' own pose leans and faces. OUTPUTS: whitened residuals.
 """
 
-from functools import partial
 from typing import ClassVar, Literal, NamedTuple
 
 import jax
@@ -11,15 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import forward
+from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.mass import augmented_bodies
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
+from jaxmocap.body.pose import Pose, difference
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
-from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
+from jaxmocap.geometry.rotations import HIGHEST, quaternion_multiply
 
 # Where no marker holds the feet, the markers' pose faces so many times less surely.
 UNMARKED_FACING = 3.0
@@ -68,11 +67,28 @@ class Pelvis(Term):
 
 # Every joint has this share of the effort at least: some bear no weight, and are relaxed too.
 LEAST_SHARE = 1e-3
+# What is not remembered is about where it began by so much, metres and radians.
+FORGOTTEN, FORGOTTEN_JOINTS = 1.0, 1e3
 
 
-def effort_shares(skeleton: Skeleton, augmented_body: Literal["distal", "proximal"]) -> Array:
-    """Shares (D,) of joints of the effort m_i h_i of (9) in the relaxed pose."""
-    frames = forward(skeleton, relaxed_pose(skeleton))
+class LastPose(NamedTuple):
+    """Where the body was before.
+
+    Attributes:
+        pose: there.
+        effort: (D,) ``effort_shares`` there.
+        remembered: () whether what no marker determines stays near it.
+    """
+
+    pose: Pose
+    effort: Array
+    remembered: Array | bool
+
+
+def effort_shares(
+    skeleton: Skeleton, frames: Frames, augmented_body: Literal["distal", "proximal"]
+) -> Array:
+    """Shares (D,) of joints of the effort m_i h_i of (9)."""
     bodies = augmented_bodies(skeleton, frames, augmented_body == "proximal")
     effort = bodies.masses * bodies.arms
     return effort / jnp.sum(effort) + LEAST_SHARE
@@ -80,59 +96,76 @@ def effort_shares(skeleton: Skeleton, augmented_body: Literal["distal", "proxima
 
 @settings
 class EasyPosture(Term):
-    """The secondary task, equation (9), as what it minimises.
+    """The secondary task, equation (9), as what it minimises, about the last pose.
 
-    Measured ``centre``, a pose, and ``effort`` (D,), ``effort_shares``. Joints are relaxed by their
-    share of the effort, in weighted coordinates; the pelvis is upright. Where nothing else
-    determines the pelvis, it is at the centre.
+    Measured ``last``, a ``LastPose``. Joints are relaxed by their share of its effort, in weighted
+    coordinates; the pelvis is upright. A joint that no marker determines goes there sample by
+    sample.
     """
 
     relaxation: Array = traced(0.9, "gain of (9)")
     uprightness: Array = traced(0.1, "gain of the pull of the pelvis to the upright")
-    shift: Array = traced(1.0, "of the pelvis about the centre, metres")
-    turn: Array = traced(1.0, "of its orientation, radians")
+    memory: Array = traced(
+        0.5, "of a degree of freedom about the last sample's pose, weighted radians"
+    )
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
-        """(6 + D + 2,)."""
-        skeleton, pose, centre = model.skeleton, body.pose, measured["centre"]
-        moved = (pose.position - centre.position) / self.shift
-        turned = self._turned(model, pose, measured, jnp.zeros_like(moved))
-        away = (pose.angles - skeleton.relaxed) * self._easing(model, measured)
-        return jnp.concatenate([moved, turned, away])
+        """(6 + 2 + D + D,)."""
+        pose, last = body.pose, measured["last"]
+        near = self._nearness(model, last)
+        moved = (pose.position - last.pose.position) * near[:3]
+        turned = 2 * _turn(pose, last.pose)[1:] * near[3:ROOT_DOF]
+        lean = body.R_world_pelvis[:2, 2] * self._righting(model)
+        stayed = (pose.angles - last.pose.angles) * near[ROOT_DOF:]
+        away = (pose.angles - model.skeleton.relaxed) * self._easing(model, last)
+        return jnp.concatenate([moved, turned, lean, stayed, away])
 
     def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
-        """(6 + D + 2, 6 + D)."""
-        pose = body.pose
-        eye, still = jnp.eye(3, dtype=pose.angles.dtype), jnp.zeros_like(pose.position)
-        turned = jax.jacfwd(partial(self._turned, model, pose, measured))(still)
-        easing = jnp.diag(self._easing(model, measured))
-        return jax.scipy.linalg.block_diag(eye / self.shift, turned, easing)
+        """(6 + 2 + D + D, 6 + D)."""
+        pose, last = body.pose, measured["last"]
+        near, turn = self._nearness(model, last), _turn(pose, last.pose)
+        eye = jnp.eye(3, dtype=turn.dtype)
+        turned = near[3:ROOT_DOF, None] * (turn[0] * eye + jnp.cross(eye, turn[1:]).T)
+        lean = jnp.cross(eye, body.R_world_pelvis[:, 2]).T[:2] * self._righting(model)[:, None]
+        joints = [jnp.diag(near[ROOT_DOF:]), jnp.diag(self._easing(model, last))]
+        return jax.scipy.linalg.block_diag(
+            jnp.diag(near[:3]), jnp.concatenate([turned, lean]), jnp.concatenate(joints)
+        )
 
     def curvature(
         self, model: Model, body: PosedBody, measured: Measurements, weights: Array
     ) -> Array:
         """(6 + D, 6 + D)."""
-        pose = body.pose
+        pose, last = body.pose, measured["last"]
+        turned = weights[3:ROOT_DOF] * self._nearness(model, last)[3:ROOT_DOF]
+        lean = jnp.pad(weights[ROOT_DOF : ROOT_DOF + 2] * self._righting(model), (0, 1))
+        up, eye = body.R_world_pelvis[:, 2], jnp.eye(3, dtype=weights.dtype)
+        both = jnp.outer(lean, up)
+        away = jnp.sum(turned * _turn(pose, last.pose)[1:]) / 2 + jnp.sum(lean * up)
+        N = model.skeleton.costs.size
+        bent = (both + both.T) / 2 - away * eye
+        return jnp.zeros((N, N), bent.dtype).at[3:ROOT_DOF, 3:ROOT_DOF].set(bent)
 
-        def turned(step: Array) -> Array:
-            return jnp.vdot(weights[3:8], self._turned(model, pose, measured, step))
+    def _nearness(self, model: Model, last: LastPose) -> Array:
+        """(6 + D,) by which a way from the last pose counts."""
+        costs = model.skeleton.costs
+        forgotten = jnp.full_like(costs, 1 / FORGOTTEN_JOINTS).at[:ROOT_DOF].set(1 / FORGOTTEN)
+        return jnp.where(jnp.asarray(last.remembered), costs / self.memory, forgotten)
 
-        bent = jax.jacfwd(jax.jacfwd(turned))(jnp.zeros_like(pose.position))
-        size = ROOT_DOF + pose.angles.size
-        return jnp.zeros((size, size), bent.dtype).at[3:ROOT_DOF, 3:ROOT_DOF].set(bent)
+    def _righting(self, model: Model) -> Array:
+        """(2,) by which a lean of the pelvis counts."""
+        return model.skeleton.costs[3:5] * jnp.sqrt(self.uprightness)
 
-    def _turned(self, model: Model, pose: Pose, measured: Measurements, step: Array) -> Array:
-        """(5,) turn from the centre and lean from the upright, a rotation vector (3,) on."""
-        here = pose._replace(angles=pose.angles[:0])
-        there = retract(here, jnp.concatenate([jnp.zeros_like(step), step]))
-        turn = difference(there, measured["centre"]._replace(angles=here.angles))[3:]
-        lean = quaternion_to_matrix(there.quaternion)[:2, 2] * model.skeleton.costs[3:5]
-        return jnp.concatenate([turn / self.turn, lean * jnp.sqrt(self.uprightness)])
-
-    def _easing(self, model: Model, measured: Measurements) -> Array:
+    def _easing(self, model: Model, last: LastPose) -> Array:
         """(D,) by which an angle off the relaxed one counts."""
-        costs = model.skeleton.costs[ROOT_DOF:]
-        return costs * jnp.sqrt(2 * self.relaxation * measured["effort"])
+        return model.skeleton.costs[ROOT_DOF:] * jnp.sqrt(2 * self.relaxation * last.effort)
+
+
+def _turn(pose: Pose, origin: Pose) -> Array:
+    """Quaternion (4,) that turns the pelvis of ``origin`` to that of ``pose``, the shorter way."""
+    back = origin.quaternion * jnp.asarray([1, -1, -1, -1], origin.quaternion.dtype)
+    turn = quaternion_multiply(pose.quaternion, back)
+    return jnp.where(turn[0] < 0, -turn, turn)
 
 
 @settings

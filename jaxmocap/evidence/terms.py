@@ -19,6 +19,7 @@ from jax import Array
 from jax.custom_derivatives import SymbolicZero
 
 from jaxmocap.body.kinematics import (
+    Frames,
     Sites,
     forward,
     jacobian,
@@ -46,6 +47,7 @@ class PosedBody(NamedTuple):
         R_world_pelvis: (3, 3).
         centre_of_gravity: (3,) world, metres.
         pose: that puts it there.
+        frames: of the bones, for Jacobians; None where nobody has them yet.
     """
 
     markers: Array
@@ -53,6 +55,7 @@ class PosedBody(NamedTuple):
     R_world_pelvis: Array
     centre_of_gravity: Array
     pose: Pose
+    frames: Frames | None = None
 
 
 class Term(ABC):
@@ -190,6 +193,7 @@ def second_order(
         measured: of this moment.
     """
     body, N = posed_body(model, pose), ROOT_DOF + pose.angles.size
+    body = body._replace(frames=forward(model.skeleton, pose))
     still, each = jnp.zeros(N, pose.angles.dtype), []
     bending = jnp.zeros((N, N), still.dtype)
     for term in terms:

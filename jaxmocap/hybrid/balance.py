@@ -24,8 +24,8 @@ from jaxmocap.hybrid.settings import IKSettings
 
 # The pelvis' turns about the world's horizontal axes, among the degrees of freedom.
 LEAN = np.array([3, 4], np.int32)
-# The squat that the factors are computed for, metres.
-SQUAT = 0.3
+# The squat that the factors are computed for, metres, and the depths on the way.
+SQUAT, DEPTHS = 0.3, 6
 # A foot higher above the other, or above the ground, than this is lifted, metres.
 LIFTED = 0.04
 # A pelvis sunk by less leaves the pose as it is, metres.
@@ -125,18 +125,19 @@ def bow_factors(skeleton: Skeleton, settings: IKSettings, trials: int = 9) -> Ar
     dofs = spine_dofs(skeleton)
     most = skeleton.limits[dofs, 1] - skeleton.relaxed[dofs]
     model, standing = Model.create(skeleton), relaxed_pose(skeleton)
-    measured = {"goals": squat_goals(skeleton, SQUAT)}
     trunk_stays = all_but_trunk(skeleton)
 
     def ahead(share: Array) -> Array:
         def stage(i: Array, pose: Pose) -> Pose:
-            # First the squat of the markers, then the same with the spine bowed: as in tracking,
-            # but traced once.
+            # Down by the markers, then the same with the spine bowed: as in tracking, but traced
+            # once.
+            down = i < DEPTHS
+            goals = squat_goals(skeleton, SQUAT * jnp.minimum((i + 1) / DEPTHS, 1.0))
             tau = share * most / SQUAT * sinking(skeleton, pose)
-            bowed = bow(skeleton, pose, jnp.where(i == 1, tau, 0.0))
-            return reach(model, settings, measured, bowed, (i == 0) | trunk_stays)[0]
+            bowed = bow(skeleton, pose, jnp.where(down, 0.0, tau))
+            return reach(model, settings, {"goals": goals}, bowed, down | trunk_stays)
 
-        return imbalance(skeleton, jax.lax.fori_loop(0, 2, stage, standing))[0]
+        return imbalance(skeleton, jax.lax.fori_loop(0, DEPTHS + 1, stage, standing))[0]
 
     shares = jnp.linspace(0.0, 1.0, trials, dtype=most.dtype)
     leads = jax.lax.map(ahead, shares)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.kinematics import Frames, forward, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
@@ -88,7 +88,8 @@ def place(model: Model, settings: IKSettings, targets: Array) -> tuple[Pose, Foo
     two markers apart from each other horizontally the heading stays +x.
     """
     skeleton, pose, mask = model.skeleton, relaxed_pose(model.skeleton), are_present(targets)
-    points = site_positions(skeleton, forward(skeleton, pose), model.markers)
+    frames = forward(skeleton, pose)
+    points = site_positions(skeleton, frames, model.markers)
     weight = mask.astype(points.dtype)[:, None] / jnp.maximum(jnp.sum(mask), 1).astype(points.dtype)
     present = jnp.where(mask[:, None], targets, 0.0)
     mean_body, mean_world = jnp.sum(weight * points, 0), jnp.sum(weight * present, 0)
@@ -100,16 +101,15 @@ def place(model: Model, settings: IKSettings, targets: Array) -> tuple[Pose, Foo
     quaternion = jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)])
     R = quaternion_to_matrix(quaternion)
     above, is_measured = _head_target(model, targets)
-    by_head = above - rotate(R, landmark_above(skeleton, pose))
+    by_head = above - rotate(R, landmark_above(skeleton, frames))
     position = jnp.where(is_measured, by_head, mean_world - rotate(R, mean_body))
     ankles = stand_below(skeleton, settings, position, R[:, 1])
     placed = FootPlacement(ankles, jnp.zeros((), bool))
     return Pose(position, quaternion, pose.angles), placed
 
 
-def landmark_above(skeleton: Skeleton, pose: Pose) -> Array:
-    """The head bone's far end (3,) of a pose."""
-    frames = forward(skeleton, pose)
+def landmark_above(skeleton: Skeleton, frames: Frames) -> Array:
+    """The head bone's far end (3,)."""
     head = skeleton.tree.bones_in("head")[-1]
     along = skeleton.lengths[head] * skeleton.directions[head]
     return frames.joints_world[head] + jnp.matmul(

@@ -8,7 +8,7 @@ Each checks its arguments and is one compiled program, alone or within another.
     landmarks  pose -> points
     smooth     all events of a recording -> all poses at once
 
-``HybridTracker`` does the same frame after frame, with a memory, and stops sooner.
+``HybridTracker`` calls the same frame after frame, with a memory.
 
 INPUTS: a Model, Settings, markers, images. OUTPUTS: poses, points.
 """
@@ -30,7 +30,6 @@ from jaxmocap.compilation.arguments import check_kind, check_shape
 from jaxmocap.compilation.programs import Program, program
 from jaxmocap.evidence.edges import EdgeFields, WeightedEdges
 from jaxmocap.evidence.markers import Goals
-from jaxmocap.evidence.posture import EasyPosture, effort_shares
 from jaxmocap.evidence.shapes import (
     checked,
     checked_markers,
@@ -39,13 +38,13 @@ from jaxmocap.evidence.shapes import (
     in_precision,
 )
 from jaxmocap.hybrid.elbow_search import no_belief
-from jaxmocap.hybrid.feet import FootPlacement, place, replant
-from jaxmocap.hybrid.ik import goal_distances, goals_of, reach
-from jaxmocap.hybrid.minimum import Another, pose_at_minimum
-from jaxmocap.hybrid.observe import arm_regions, no_thresholds
-from jaxmocap.hybrid.observe import observe as edge_fields
-from jaxmocap.hybrid.refine import arms_at_minimum, refine_arms, search_elbows
+from jaxmocap.hybrid.feet import FootPlacement
+from jaxmocap.hybrid.fit import Aims, arms_at_minimum, refine_arms, refine_body
+from jaxmocap.hybrid.ik import goals_of, solve_ik
+from jaxmocap.hybrid.observe import arm_regions, edge_fields, no_thresholds
+from jaxmocap.hybrid.refine import follow_elbows, search_elbows
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.step import nowhere
 from jaxmocap.images.regions import Region
 from jaxmocap.smoothing.functions import Events, SmoothMotion, checked_events, smooth_events
 
@@ -79,14 +78,14 @@ def solve(
 
     It is the minimum of the markers' goals and of the secondary task within the joints' limits.
     The derivatives are the minimum's, by the implicit function theorem: by the model, the settings,
-    the markers and, where there is one, the start. What no marker determines is at ease, or where
-    it began.
+    the markers and, where there is one, the start. What no marker determines is at ease. With a
+    start it stays near that, as ``settings.ik.memory`` says: this is the step of ``HybridTracker``.
 
     Args:
         model: of the person and M markers.
         settings: ``ik`` of them is read.
         markers_world: (M, 3) any real numbers or lists of them, world, metres; NaN where missing.
-        start: a pose to begin with, whose feet stand; without it the body is placed by the markers.
+        start: the last pose, whose feet stand; without it the body is placed by the markers.
 
     Returns:
         The pelvis in the world, metres and a unit quaternion, and (D,) angles, radians, of the
@@ -108,29 +107,10 @@ def solve(
     return _solved(model, settings, markers, start and checked_pose("start", model, start))
 
 
-# Where a start misses a goal by more, metres, and its minimum costs more, nats, the placed body is
-# another start.
-FAR_OFF, WELL_MET = 0.1, 0.3
-
-
 @program("quick")
 def _solved(model: Model, settings: Settings, markers: Array, start: Pose | None) -> Pose:
-    ik = settings.ik
-    placed, feet = place(model, ik, markers)
-    if start is not None:
-        feet, _ = replant(model, ik, start, _standing(model, start), markers)
-    first = placed if start is None else start
-    goals = goals_of(model, ik, feet, markers)
-    effort = effort_shares(model.skeleton, ik.augmented_body)
-    measured = {"goals": goals, "centre": first, "effort": effort}
-    prior = EasyPosture(relaxation=ik.relaxation, uprightness=ik.uprightness)
-    terms = (*ik.terms, in_precision(model, prior))
-    if start is None:
-        return pose_at_minimum(model, terms, measured, placed)
-    # A start that is far off may lie in a valley of its own.
-    far = jnp.max(goal_distances(model.skeleton, goals, start)) > FAR_OFF
-    other = Another(placed, jnp.where(far, WELL_MET, jnp.inf))
-    return pose_at_minimum(model, terms, measured, start, other)
+    before = nowhere(model) if start is None else (start, _standing(model, start))
+    return solve_ik(model, settings.ik, *before, markers).pose
 
 
 def _standing(model: Model, pose: Pose) -> FootPlacement:
@@ -200,11 +180,10 @@ def _regions(model: Model, settings: Settings, pose: Pose) -> Region:
 def _searched(model: Model, settings: Settings, pose: Pose, fields: EdgeFields) -> Observation:
     """The fields, where the search has the elbows, and the outlines as they then show."""
     arms, belief = _arms(model, pose), no_belief(settings.elbow_search, pose)
-    followed, elbows = pose, arms.elbow
+    elbows = arms.elbow
     if settings.search:
         _, elbows = search_elbows(model, settings, arms, fields, belief)
-        measured = {"goals": _own_goals(model, settings, pose), "elbows": elbows}
-        followed, _ = reach(model, settings.ik, measured, pose)
+    followed = _followed(model, settings, pose, elbows)
     return Observation(settings.edges.weighted(model, fields, followed), elbows)
 
 
@@ -245,33 +224,25 @@ def refine(model: Model, settings: Settings, pose: Pose, observation: Observatio
 
 @program("quick")
 def _refined(model: Model, settings: Settings, pose: Pose, observed: Observation) -> Pose:
-    held = jax.lax.stop_gradient((model, settings, pose, observed))
+    held = jax.lax.stop_gradient((model, settings, pose, observed.elbows))
     followed = _followed(*held)
     if settings.refine == "search":
         refined = _going_along(pose, followed)
     elif settings.refine == "gradient":
-        refined = _by_gradient(model, settings, pose, observed, followed)
+        aims = Aims(_own_goals(model, settings, pose), observed.elbows, pose, None)
+        refined, _ = refine_body(model, settings, observed.edges, followed, aims)
     else:
         refined = _by_simplex(model, settings, pose, observed, followed)
     has_image = jnp.any(jnp.asarray(observed.edges.fields.available))
     return jax.tree.map(lambda new, old: jnp.where(has_image, new, old), refined, pose)
 
 
-def _followed(model: Model, settings: Settings, pose: Pose, observed: Observation) -> Pose:
+def _followed(model: Model, settings: Settings, pose: Pose, elbows: Array) -> Pose:
     """The body with its elbows where they are expected, its markers held."""
     if not settings.search:
         return pose
-    measured = {"goals": _own_goals(model, settings, pose), "elbows": observed.elbows}
-    return reach(model, settings.ik, measured, pose)[0]
-
-
-def _by_gradient(
-    model: Model, settings: Settings, pose: Pose, observed: Observation, start: Pose
-) -> Pose:
-    measured = {"edges": observed.edges, "goals": _own_goals(model, settings, pose), "centre": pose}
-    if settings.search:
-        measured["elbows"] = observed.elbows
-    return pose_at_minimum(model, settings.gradient_terms, measured, start)
+    goals = _own_goals(model, settings, pose)
+    return follow_elbows(model, settings, goals, pose, None, elbows)
 
 
 def _by_simplex(

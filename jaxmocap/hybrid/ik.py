@@ -1,13 +1,12 @@
-"""Inverse kinematics: markers to pose (section 4, algorithm 1).
+"""Inverse kinematics: markers to pose (section 4).
 
-End effectors are the residuals of terms: by default markers, and feet that carry none. Secondary
-terms are approached as far as the first hold.
+The pose is the minimum of what is reached for and of the secondary task, about the last pose; or,
+as in the paper, where algorithm 1 ends.
 
 INPUTS: a Model, marker targets (world, metres; NaN where missing), the last pose, where the feet
-stood. OUTPUTS: the pose that meets the markers, where the feet stand, how the solve ended.
+stood. OUTPUTS: the pose that meets the markers, where the feet stand.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -15,30 +14,22 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import Frames, forward, site_positions
-from jaxmocap.body.mass import augmented_bodies
+from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import SIDES, Model
-from jaxmocap.body.pose import Pose, retract
+from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.markers import Goals, are_present
-from jaxmocap.evidence.terms import Measurements, Term, linearised_term
-from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
-from jaxmocap.hybrid.feet import FootPlacement, replant
+from jaxmocap.evidence.posture import EasyPosture, LastPose, effort_shares
+from jaxmocap.evidence.shapes import in_precision
+from jaxmocap.evidence.terms import Measurements
+from jaxmocap.hybrid.feet import FootPlacement, place, replant
+from jaxmocap.hybrid.minimum import Another, pose_at_minimum
+from jaxmocap.hybrid.paper import ik as paper_ik
 from jaxmocap.hybrid.settings import IKSettings
-from jaxmocap.solvers.limits import room, step_within
-from jaxmocap.solvers.sdls import (
-    clamp_lengths,
-    clamp_max_abs,
-    damped_step,
-    project_secondary,
-    sdls_step,
-)
 
-# A degree of freedom this near to its limit (weighted radians) is at it.
-AT_LIMIT = 1e-3
-# Most solves of a step that limits cut short.
-ROUNDS = 2
+# Where a pose misses a goal by more, metres, and its minimum costs more, nats, the placed body is
+# another start.
+FAR_OFF, WELL_MET = 0.1, 0.3
 
 
 class IKResult(NamedTuple):
@@ -48,133 +39,49 @@ class IKResult(NamedTuple):
         pose: that meets the targets.
         feet: where they stand.
         distances: (M + F,) metres from effector to goal; 0 where there is none.
-        iterations: () made.
         planted: () whether the feet were planted again in this frame.
+        placed: () whether the body was placed again.
     """
 
     pose: Pose
     feet: FootPlacement
     distances: Array
-    iterations: Array
     planted: Array
+    placed: Array
 
 
-class _Effectors(NamedTuple):
-    """K end effectors about a pose: the residuals of some terms, in three-vectors.
+def solve_ik(
+    model: Model, settings: IKSettings, pose: Pose, feet: FootPlacement, targets: Array
+) -> IKResult:
+    """Markers to pose, from the last pose.
 
-    Attributes:
-        J: (3K, 6 + D) their derivatives by the weighted degrees of freedom.
-        error: (3K,) what the residuals lack, clamped (4.1).
-        missed: () the largest residual, metres; infinite where one is not a length.
-    """
-
-    J: Array
-    error: Array
-    missed: Array
-
-
-def secondary_task(skeleton: Skeleton, frames: Frames, pose: Pose, settings: IKSettings) -> Array:
-    """The step (6 + D,), unweighted, towards the relaxed pose: equation (9), and to the upright.
-
-    m_i h_i is normalised by its sum, so that the gain is below 1 in any units. The root has no
-    relaxed angle; its lean from the vertical is turned back.
-    """
-    bodies = augmented_bodies(skeleton, frames, settings.augmented_body == "proximal")
-    effort = bodies.masses * bodies.arms
-    share = effort / jnp.sum(effort)
-    relaxing = -2 * settings.relaxation * share * (pose.angles - skeleton.relaxed)
-    up = quaternion_to_matrix(pose.quaternion)[:, 2]
-    lean = jnp.cross(up, jnp.array([0.0, 0.0, 1.0], up.dtype))
-    return jnp.concatenate([jnp.zeros(3, up.dtype), settings.uprightness * lean, relaxing])
-
-
-def ik_step(
-    model: Model,
-    settings: IKSettings,
-    measured: Measurements,
-    pose: Pose,
-    free: Array,
-    gain: Array | float = 1.0,
-) -> tuple[Pose, Array, Array]:
-    """One iteration of algorithm 1.
-
-    Returns the new pose, the largest weighted angle that it moved by, and by how much the old one
-    missed its farthest goal, metres.
+    Where the last pose is lost (``settings.lost``), the body is placed by its markers.
 
     Args:
-        model: its skeleton has D degrees of freedom.
-        settings: traced; its terms are what is reached for.
-        measured: ``goals``, and ``elbows`` where there are secondary goals.
-        pose: to start from.
-        free: (6 + D,) degrees of freedom that may move.
-        gain: factor on the secondary task and the secondary goals.
+        model: of the person and the markers.
+        settings: traced.
+        pose: the last one; NaN where there is none.
+        feet: where they stood then.
+        targets: (M, 3) markers, world, metres; NaN where missing.
     """
-    first = _effectors(model, settings.terms, measured, pose)
-    return *_stepped(model, settings, measured, pose, free, first, gain), first.missed
-
-
-def _stepped(
-    model: Model,
-    settings: IKSettings,
-    measured: Measurements,
-    pose: Pose,
-    free: Array,
-    first: _Effectors,
-    gain: Array | float,
-) -> tuple[Pose, Array]:
-    """The pose after a step from where it was linearised, and the largest weighted angle of it."""
-    skeleton = model.skeleton
-    relaxing = secondary_task(skeleton, forward(skeleton, pose), pose, settings)
-    wanted, (low, high) = gain * skeleton.costs * relaxing, _room(skeleton, pose)
-    second = _effectors(model, settings.secondary_terms, measured, pose)
-
-    def step(free: Array) -> Array:
-        # Equation (1) in the weighted coordinates psi = mu * theta.
-        solved = sdls_step(jnp.where(free, first.J, 0.0), first.error, settings.largest_step)
-        beside = project_secondary(solved.row_space, jnp.where(free, wanted, 0.0))
-        if second.error.size:
-            A = project_secondary(solved.row_space, jnp.where(free, second.J, 0.0))
-            rest = gain * second.error - jnp.matmul(A, beside, precision=HIGHEST)
-            beside = beside + damped_step(A, rest, 1.0)
-        return solved.primary + clamp_max_abs(beside, settings.largest_step)
-
-    psi = step_within(step, low, high, free, AT_LIMIT, ROUNDS)
-    psi = jnp.where(free, jnp.clip(psi, low, high), 0.0)
-    return retract(pose, psi / skeleton.costs), jnp.max(jnp.abs(psi))
-
-
-def _effectors(
-    model: Model, terms: Sequence[Term], measured: Measurements, pose: Pose
-) -> _Effectors:
-    """The residuals of terms about a pose; lengths are clamped to a tenth of an arm (4.1)."""
-    rows, errors, missed = [], [], [jnp.zeros((), pose.angles.dtype)]
-    for term in terms:
-        r, J = linearised_term(term, model, pose, measured)
-        r, J = _three_vectors(r), _three_vectors(J, derivatives=True)
-        if not r.size:
-            continue
-        if term.metres_per_deviation is None:
-            missed.append(jnp.asarray(jnp.inf, r.dtype))
-        else:
-            missed.append(term.metres_per_deviation * jnp.sqrt(jnp.max(jnp.sum(r**2, -1))))
-            r = clamp_lengths(r, 0.1 * _arm_length(model.skeleton) / term.metres_per_deviation)
-        rows.append(J.reshape(-1, J.shape[-1]) / model.skeleton.costs)
-        errors.append(-r.ravel())
-    if not errors:
-        nothing = jnp.zeros(0, pose.angles.dtype)
-        return _Effectors(jnp.zeros((0, model.skeleton.costs.size)), nothing, missed[0])
-    largest = jnp.max(jnp.stack(missed))
-    return _Effectors(jnp.concatenate(rows), jnp.concatenate(errors), largest)
-
-
-def _three_vectors(values: Array, derivatives: bool = False) -> Array:
-    """Residuals (..., 3), or any (...), as (K, 3); derivatives with their last axis kept."""
-    inner = values.shape[:-1] if derivatives else values.shape
-    last = values.shape[-1:] if derivatives else ()
-    if inner and inner[-1] == 3:
-        return values.reshape(-1, 3, *last)
-    alone = values.reshape(-1, 1, *last)
-    return jnp.pad(alone, [(0, 0), (0, 2), *([(0, 0)] if derivatives else [])])
+    before = goal_distances(model.skeleton, goals_of(model, settings, feet, targets), pose)
+    missed = jnp.max(before[: len(targets)], initial=0.0)
+    known = jnp.all(jnp.isfinite(pose.position))
+    lost, far = (~known | (missed > limit) for limit in (settings.lost, FAR_OFF))
+    placed, placed_feet = jax.lax.cond(
+        far, lambda: place(model, settings, targets), lambda: (pose, feet)
+    )
+    pose, feet = jax.tree.map(
+        lambda new, old: jnp.where(lost, new, old), (placed, placed_feet), (pose, feet)
+    )
+    feet, planted = replant(model, settings, pose, feet, targets)
+    goals = goals_of(model, settings, feet, targets)
+    # A last pose that is far off may lie in a valley of its own.
+    other = Another(placed, jnp.where(far & ~lost, WELL_MET, jnp.inf))
+    pose = reach(model, settings, {"goals": goals}, pose, remembered=~lost, other=other)
+    misses = goal_distances(model.skeleton, goals, pose)
+    stretched = jnp.max(misses[len(targets) :], initial=0.0) > settings.leg_overstretch
+    return IKResult(pose, feet._replace(overstretched=stretched), misses, planted, lost)
 
 
 def reach(
@@ -183,47 +90,30 @@ def reach(
     measured: Measurements,
     pose: Pose,
     free: Array | None = None,
-) -> tuple[Pose, Array]:
-    """Algorithm 1: iterate from ``pose`` until the effectors are at their goals, or rest.
+    remembered: Array | bool = True,
+    other: Another | None = None,
+) -> Pose:
+    """The pose that meets its goals, near another one; differentiable where it is a minimum.
 
     Args:
         model: its skeleton has D degrees of freedom.
-        settings: traced; its terms are what is reached for.
-        measured: ``goals``. With ``elbows`` there are secondary goals, which are approached as far
-            as the first hold; the last iterations leave them alone, so that the first hold in the
-            end.
+        settings: traced; their terms are what is reached for.
+        measured: ``goals``, and ``elbows`` where there are secondary goals.
         pose: to start from.
         free: (6 + D,) degrees of freedom that may move; all without it.
-
-    Returns:
-        The pose and the number of iterations.
+        remembered: whether what nothing determines stays near the start.
+        other: another start.
     """
-    moving = jnp.ones(model.skeleton.costs.shape, bool) if free is None else free
-    follows = "elbows" in measured
-    least = settings.following if follows else settings.settle
-
-    def unfinished(carry: tuple[Array, Pose, Array, Array]) -> Array:
-        count, _, moved, met = carry
-        moves = (moved > settings.rest) & (count < settings.iterations)
-        return (count < least) | (moves & ~met)
-
-    def iterate(carry: tuple[Array, Pose, Array, Array]) -> tuple[Array, Pose, Array, Array]:
-        # Whether a step has met the goals shows where the next one would begin.
-        count, pose, moved, _ = carry
-        first = _effectors(model, settings.terms, measured, pose)
-        met = (count >= least) & (first.missed <= settings.tolerance)
-        gain = jnp.where(count < settings.following, 1.0, 0.0) if follows else 1.0
-
-        def step() -> tuple[Pose, Array]:
-            return _stepped(model, settings, measured, pose, moving, first, gain)
-
-        pose, moved = jax.lax.cond(met, lambda: (pose, moved), step)
-        return count + jnp.where(met, 0, 1), pose, moved, met
-
-    far = jnp.asarray(jnp.inf, pose.angles.dtype)
-    start = (jnp.zeros((), jnp.int32), pose, far, jnp.zeros((), bool))
-    count, pose, _, _ = jax.lax.while_loop(unfinished, iterate, start)
-    return pose, count
+    if settings.solver == "sdls":
+        return paper_ik.reach(model, settings, measured, pose, free)[0]
+    skeleton = model.skeleton
+    effort = effort_shares(skeleton, forward(skeleton, pose), settings.augmented_body)
+    ease = EasyPosture(settings.relaxation, settings.uprightness, settings.memory)
+    terms = (*settings.terms, in_precision(model, ease))
+    if "elbows" in measured:
+        terms = (*terms, *settings.secondary_terms)
+    about = {**measured, "last": LastPose(pose, effort, remembered)}
+    return pose_at_minimum(model, terms, about, pose, other, free, is_near=remembered)[0]
 
 
 def goal_distances(skeleton: Skeleton, goals: Goals, pose: Pose) -> Array:
@@ -232,18 +122,6 @@ def goal_distances(skeleton: Skeleton, goals: Goals, pose: Pose) -> Array:
     squared = jnp.sum(away**2, -1)
     apart = squared > 0
     return jnp.where(apart, jnp.sqrt(jnp.where(apart, squared, 1.0)), 0.0)
-
-
-def _room(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
-    """How far each degree of freedom (6 + D,) may still turn down and up, weighted."""
-    free = jnp.full(ROOT_DOF, jnp.inf, pose.angles.dtype)
-    low, high = room(skeleton.limits, pose.angles)
-    weights = skeleton.costs
-    return jnp.concatenate([-free, low]) * weights, jnp.concatenate([free, high]) * weights
-
-
-def _arm_length(skeleton: Skeleton) -> Array:
-    return jnp.sum(skeleton.lengths[skeleton.tree.bones_in("arm", side="l")])
 
 
 def goals_of(model: Model, settings: IKSettings, feet: FootPlacement, targets: Array) -> Goals:
@@ -264,23 +142,3 @@ def goals_of(model: Model, settings: IKSettings, feet: FootPlacement, targets: A
         jnp.concatenate([present, feet.ankles[sides]]),
         jnp.where(held, weights, 0.0),
     )
-
-
-def solve_ik(
-    model: Model, settings: IKSettings, pose: Pose, feet: FootPlacement, targets: Array
-) -> IKResult:
-    """Markers to pose, from the last pose.
-
-    Args:
-        model: of the person and the markers.
-        settings: traced.
-        pose: to start from.
-        feet: where they stood in the last frame.
-        targets: (M, 3) markers, world, metres; NaN where missing.
-    """
-    feet, planted = replant(model, settings, pose, feet, targets)
-    goals = goals_of(model, settings, feet, targets)
-    pose, count = reach(model, settings, {"goals": goals}, pose)
-    misses = goal_distances(model.skeleton, goals, pose)
-    missed = jnp.max(misses[len(targets) :], initial=0.0) > settings.leg_overstretch
-    return IKResult(pose, feet._replace(overstretched=missed), misses, count, planted)

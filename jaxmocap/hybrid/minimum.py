@@ -5,7 +5,7 @@ INPUTS: a Model, terms, what was measured, a pose to start from. OUTPUTS: a pose
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,17 @@ from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.terms import Measurements, Term, pull, residuals, second_order
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.solvers.limits import room
-from jaxmocap.solvers.optimum import Local, Problem, descend, least_squares_step, rests
+from jaxmocap.solvers.optimum import (
+    FIRST_DAMPING,
+    NEAR_DAMPING,
+    Descent,
+    Local,
+    Problem,
+    descend,
+    least_squares_step,
+    rests,
+)
+from jaxmocap.solvers.status import Status
 
 # Steps of the descent, at most.
 STEPS = 100
@@ -45,8 +55,13 @@ def pose_at_minimum(
     measured: Measurements,
     start: Pose,
     other: Another | None = None,
-) -> Pose:
-    """The pose near ``start`` that costs least; differentiable by all but the starts.
+    free: Array | None = None,
+    steps: int = STEPS,
+    is_near: Array | bool = False,
+) -> tuple[Pose, Array]:
+    """The pose near ``start`` that costs least, and a ``Status``.
+
+    It is differentiable by all but the starts.
 
     Joints rest at their limits where terms push them outwards; then they follow the limits.
 
@@ -56,15 +71,37 @@ def pose_at_minimum(
         measured: of this moment.
         start: to descend from.
         other: another start.
+        free: (6 + D,) degrees of freedom that may move; all without it.
+        steps: of the descent, at most.
+        is_near: whether the minimum lies about the start.
     """
-    evidence = (model, tuple(terms), measured)
-    held, start, other = jax.lax.stop_gradient((evidence, start, other))
-    return _following(evidence, jax.lax.stop_gradient(_lowest(held, start, other)))
+    evidence = _Evidence(model, tuple(terms), measured, free)
+    held = jax.lax.stop_gradient((evidence, start, other))
+    pose, status = jax.lax.stop_gradient(_lowest(*held, steps, is_near))
+    return _following(evidence, pose), status
 
 
-def _lowest(evidence: tuple, start: Pose, other: Another | None) -> Pose:
+def at_minimum(
+    model: Model, terms: Sequence[Term], measured: Measurements, pose: Pose, free: Array | None
+) -> Pose:
+    """A pose that another descent found, with the minimum's derivatives; see above."""
+    return _following(_Evidence(model, tuple(terms), measured, free), jax.lax.stop_gradient(pose))
+
+
+class _Evidence(NamedTuple):
+    """What the pose depends on; ``free`` is None where all may move."""
+
+    model: Model
+    terms: tuple[Term, ...]
+    measured: Measurements
+    free: Array | None
+
+
+def _lowest(
+    evidence: _Evidence, start: Pose, other: Another | None, steps: int, is_near: Array | bool
+) -> tuple[Pose, Array]:
     """The end of the descents, nothing differentiated."""
-    model, terms, measured = evidence
+    model, terms, measured, _ = evidence
     low, high = model.skeleton.limits.T
     problem = Problem(
         lambda pose: residuals(terms, model, pose, measured),
@@ -73,29 +110,35 @@ def _lowest(evidence: tuple, start: Pose, other: Another | None) -> Pose:
         partial(_room, evidence),
     )
 
-    def descended(start: Pose) -> tuple[Pose, Array]:
+    def descended(start: Pose) -> Descent:
         within = start._replace(angles=jnp.clip(start.angles, low, high))
-        return descend(problem, within, STEPS)
+        return descend(problem, within, steps, jnp.where(is_near, NEAR_DAMPING, FIRST_DAMPING))
 
     if other is None:
-        return descended(start)[0]
+        end = descended(start)
+        return end.x, _status(end)
 
-    def unsatisfied(carry: tuple[Array, Pose, Array]) -> Array:
-        attempts, _, cost = carry
-        return (attempts == 0) | ((attempts == 1) & ~(cost <= other.above))
+    def unsatisfied(carry: tuple[Array, Descent]) -> Array:
+        attempts, best = carry
+        return (attempts == 0) | ((attempts == 1) & ~(best.cost <= other.above))
 
-    def attempt(carry: tuple[Array, Pose, Array]) -> tuple[Array, Pose, Array]:
+    def attempt(carry: tuple[Array, Descent]) -> tuple[Array, Descent]:
         # Both through here, so that the descent compiles once.
-        attempts, best, cost = carry
-        pose, price = descended(_where(attempts == 0, start, other.start))
-        better = price < cost
-        return attempts + 1, _where(better, pose, best), jnp.where(better, price, cost)
+        attempts, best = carry
+        end = descended(_where(attempts == 0, start, other.start))
+        return attempts + 1, _where(end.cost < best.cost, end, best)
 
-    none = jnp.asarray(jnp.inf, start.angles.dtype)
-    return jax.lax.while_loop(unsatisfied, attempt, (jnp.zeros((), jnp.int32), start, none))[1]
+    none = Descent(start, jnp.asarray(jnp.inf, start.angles.dtype), jnp.zeros((), bool))
+    _, best = jax.lax.while_loop(unsatisfied, attempt, (jnp.zeros((), jnp.int32), none))
+    return best.x, _status(best)
 
 
-def _where(condition: Array, one: Pose, other: Pose) -> Pose:
+def _status(end: Descent) -> Array:
+    found = jnp.where(end.rests, int(Status.CONVERGED), int(Status.OUT_OF_STEPS))
+    return found.astype(jnp.int32)
+
+
+def _where(condition: Array, one: Any, other: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
 
 
@@ -134,7 +177,7 @@ class _About(NamedTuple):
 
 
 @jax.custom_jvp
-def _following(evidence: tuple, pose: Pose) -> Pose:
+def _following(evidence: _Evidence, pose: Pose) -> Pose:
     """The pose, with the derivatives of the minimum that it is at."""
     return pose
 
@@ -145,19 +188,19 @@ def _following_jvp(primals: tuple, tangents: tuple) -> tuple[Pose, Pose]:
     there, about = _polished(evidence, pose)
     still = jnp.zeros(about.moves.shape, about.residuals.dtype)
 
-    def changed(evidence: tuple) -> tuple[Array, Array, Pose]:
-        model, terms, measured = evidence
-        here = _at_limits(model, there, about.moves)
+    def changed(evidence: _Evidence) -> tuple[Array, Array, Pose]:
+        model, terms, measured, _ = evidence
+        here = _at_limits(evidence, there, about.moves)
         now = residuals(terms, model, here, measured)
         pulled = pull(terms, model, here, measured, about.residuals, still)
-        return now, pulled, _at_limits(model, pose, about.moves)
+        return now, pulled, _at_limits(evidence, pose, about.moves)
 
     *changes, limited = jax.jvp(changed, (evidence,), (tangents[0],))[1]
     moved = jax.jvp(partial(retract, pose), (still,), (about.step(*changes),))[1]
     return pose, moved._replace(angles=moved.angles + limited.angles)
 
 
-def _polished(evidence: tuple, pose: Pose) -> tuple[Pose, _About]:
+def _polished(evidence: _Evidence, pose: Pose) -> tuple[Pose, _About]:
     """The minimum, as exactly as the precision allows, and the residuals there."""
 
     def polish(pose: Pose, _: None) -> tuple[Pose, _About]:
@@ -172,29 +215,32 @@ def _polished(evidence: tuple, pose: Pose) -> tuple[Pose, _About]:
     return pose, jax.tree.map(lambda part: part[-1], each)
 
 
-def _about(evidence: tuple, pose: Pose) -> _About:
-    model, terms, measured = evidence
+def _about(evidence: _Evidence, pose: Pose) -> _About:
+    model, terms, measured, _ = evidence
     r, J, S = second_order(terms, model, pose, measured)
     low, high = _room(evidence, pose)
     return _About(r, J, S, ~rests(jnp.matmul(r, J, precision=HIGHEST), low, high))
 
 
-def _cost(evidence: tuple, pose: Pose) -> Array:
+def _cost(evidence: _Evidence, pose: Pose) -> Array:
     """() half the squares of all residuals."""
-    model, terms, measured = evidence
+    model, terms, measured, _ = evidence
     return jnp.sum(residuals(terms, model, pose, measured) ** 2) / 2
 
 
-def _room(evidence: tuple, pose: Pose) -> tuple[Array, Array]:
+def _room(evidence: _Evidence, pose: Pose) -> tuple[Array, Array]:
     """How far (6 + D,) each degree of freedom may go down and up."""
-    low, high = room(evidence[0].skeleton.limits, pose.angles)
+    low, high = room(evidence.model.skeleton.limits, pose.angles)
     endless = jnp.full(ROOT_DOF, jnp.inf, low.dtype)
-    return jnp.concatenate([-endless, low]), jnp.concatenate([endless, high])
+    low, high = jnp.concatenate([-endless, low]), jnp.concatenate([endless, high])
+    free = True if evidence.free is None else evidence.free
+    return jnp.where(free, low, 0.0), jnp.where(free, high, 0.0)
 
 
-def _at_limits(model: Model, pose: Pose, moves: Array) -> Pose:
+def _at_limits(evidence: _Evidence, pose: Pose, moves: Array) -> Pose:
     """The pose, whose joints that rest at a limit follow it."""
-    low, high = model.skeleton.limits.T
+    low, high = evidence.model.skeleton.limits.T
     angles = pose.angles
     limit = jnp.where(angles - low <= high - angles, low, high)
-    return pose._replace(angles=jnp.where(moves[ROOT_DOF:], angles, limit))
+    held = moves if evidence.free is None else moves | ~evidence.free
+    return pose._replace(angles=jnp.where(held[ROOT_DOF:], angles, limit))

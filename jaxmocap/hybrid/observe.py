@@ -40,7 +40,7 @@ def arm_regions(
     return jax.vmap(of_camera)(cameras)
 
 
-def observe(
+def edge_fields(
     settings: Settings,
     thresholds: ArmThresholds,
     images: Sequence[np.ndarray | None] | None,

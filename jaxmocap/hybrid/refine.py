@@ -13,20 +13,18 @@ INPUTS: a Model, what ``solve`` found, distance fields of edges, the belief abou
 OUTPUTS: the refined pose, the belief, a report.
 """
 
-from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxmocap.body.arms import Arms, arm_dofs, arms_of, flesh, hang, swing, swivels, turn_between
+from jaxmocap.body.arms import Arms, arms_of, swivels, turn_between
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, beyond_limits
+from jaxmocap.body.pose import Pose
 from jaxmocap.evidence.edges import EdgeFields
-from jaxmocap.evidence.markers import Goals, are_present, off_targets
+from jaxmocap.evidence.markers import Goals, are_present
 from jaxmocap.hybrid.balance import bow_on_feet
 from jaxmocap.hybrid.elbow_search import (
     ElbowBelief,
@@ -34,20 +32,16 @@ from jaxmocap.hybrid.elbow_search import (
     search,
     without_image,
 )
-from jaxmocap.hybrid.gradient import Aims, refine_body
+from jaxmocap.hybrid.fit import Aims, no_status, refine_arms, refine_body
 from jaxmocap.hybrid.ik import IKResult, goal_distances, goals_of, reach
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.images.regions import Region
-from jaxmocap.solvers.optimum import curved_step
-from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
-from jaxmocap.solvers.status import Status
 
 
 class Solved(NamedTuple):
-    """What markers tell: their pose, whether the body was placed again, the arms' regions."""
+    """What markers tell: their pose, the arms' regions."""
 
     ik: IKResult
-    placed: Array
     region: Region | None
 
 
@@ -62,7 +56,6 @@ class StepReport(NamedTuple):
             image.
         swivels: (2,) turn of each elbow that the video added, radians.
         elbow_deviations: (2,) standard deviations of the elbows, metres.
-        iterations: () of the inverse kinematics.
         planted: () whether the feet were planted again.
         placed: () whether the body was placed again.
         balanced: () whether balance bowed the spine.
@@ -74,14 +67,13 @@ class StepReport(NamedTuple):
     outline_px: Array
     swivels: Array
     elbow_deviations: Array
-    iterations: Array
     planted: Array
     placed: Array
     balanced: Array
     status: Array
 
 
-def refine(
+def refine_event(
     model: Model,
     settings: Settings,
     bow_factors: Array,
@@ -106,7 +98,7 @@ def refine(
     belief = belief._replace(age=belief.age + elapsed)
     goals = goals_of(model, settings.ik, solved.ik.feet, targets)
     arms = _arms(model, solved.ik.pose)
-    pose, elbows, status = solved.ik.pose, arms.elbow, _no_status()
+    pose, elbows, status = solved.ik.pose, arms.elbow, no_status()
     # All three are static: settled when this is traced.
     edges = None if settings.refine == "none" or model.cameras is None else fields
     if edges is not None and settings.search:
@@ -116,7 +108,7 @@ def refine(
     if edges is not None and settings.search:
         pose = follow_elbows(model, settings, goals, pose, free, elbows)
     elif settings.balance == "before":
-        met = lambda: reach(model, settings.ik, {"goals": goals}, pose, free)[0]  # noqa: E731
+        met = lambda: reach(model, settings.ik, {"goals": goals}, pose, free)  # noqa: E731
         pose = jax.lax.cond(balanced, met, lambda: pose)
     if edges is not None:
         aims = Aims(goals, elbows, centre, free)
@@ -132,18 +124,14 @@ def refine(
     errors = goal_distances(model.skeleton, goals, pose)[: len(mask)]
     report = StepReport(
         solved.ik.pose, jnp.where(mask, errors, jnp.nan), outline_px, swivels(arms, refined),
-        without_image(settings.elbow_search, belief)[1], solved.ik.iterations, solved.ik.planted,
-        solved.placed, balanced, status,
+        without_image(settings.elbow_search, belief)[1], solved.ik.planted, solved.ik.placed,
+        balanced, status,
     )  # fmt: skip
     return belief, pose, report
 
 
 def _arms(model: Model, pose: Pose) -> Arms:
     return arms_of(model.skeleton, forward(model.skeleton, pose), model.grips)
-
-
-def _no_status() -> Array:
-    return jnp.asarray(int(Status.CONVERGED), jnp.int32)
 
 
 def _last_unless_lost(
@@ -195,10 +183,10 @@ def _balanced(
 
 
 def follow_elbows(
-    model: Model, settings: Settings, goals: Goals, pose: Pose, free: Array, elbows: Array
+    model: Model, settings: Settings, goals: Goals, pose: Pose, free: Array | None, elbows: Array
 ) -> Pose:
     """The body with its elbows where the search has them, as far as the markers hold."""
-    return reach(model, settings.ik, {"goals": goals, "elbows": elbows}, pose, free)[0]
+    return reach(model, settings.ik, {"goals": goals, "elbows": elbows}, pose, free)
 
 
 def _fit(
@@ -211,118 +199,11 @@ def _fit(
 ) -> tuple[Pose, Array]:
     """The pose whose outlines lie on edges, and how the descent ended."""
     if settings.refine == "search":
-        return pose, _no_status()
+        return pose, no_status()
     if settings.refine == "gradient":
-        refined = refine_body(model, settings, fields, pose, aims)
-        return refined.pose, refined.status
-    return refine_arms(model, settings, fields, pose, grip_targets, aims.elbows), _no_status()
-
-
-# Costs (2) of both arms, from arms and their (2, 4) joint angles.
-ArmCost = Callable[[Arms, Array], Array]
-
-
-def refine_arms(
-    model: Model,
-    settings: Settings,
-    fields: EdgeFields,
-    pose: Pose,
-    grip_targets: Array,
-    elbows: Array,
-) -> Pose:
-    """Minimise equation (14) over each arm's four degrees of freedom by the downhill simplex.
-
-    An arm without an image stays as it is.
-
-    Args:
-        model: of the person, the markers and the cameras.
-        settings: of the tracker.
-        fields: of both arms.
-        pose: to start from.
-        grip_targets: (2, 3) t of equation (14), world, metres.
-        elbows: (2, 3) of the search.
-    """
-    own, by_arm = settings.simplex, fields.by_arm()
-    dofs = arm_dofs(model.skeleton.tree)
-    limits = model.skeleton.limits[dofs]
-    hung = hang(model.skeleton, pose, model.grips)
-    costs = _arm_costs(model, settings, by_arm, grip_targets, elbows)
-
-    def cost(moves: Array) -> Array:
-        arms, angles = swing(hung, moves)
-        return sum((each(arms, angles) for each in costs), start=jnp.zeros(2, angles.dtype))
-
-    still = jnp.zeros_like(hung.angles)
-    has_image = jnp.any(by_arm.available, -1)[:, None]
-
-    def fitted() -> Array:
-        lengths = jnp.full(4, own.other_edge).at[0].set(own.swivel_edge)
-        first = initial_simplex(still, jnp.diag(lengths))
-        moves = downhill_simplex(cost, first, own.iterations).points
-        angles = swing(hung, jnp.where(has_image, moves, still))[1]
-        return jnp.where(has_image, jnp.clip(angles, limits[..., 0], limits[..., 1]), hung.angles)
-
-    # Between two images there is nothing to fit.
-    angles = jax.lax.cond(jnp.any(has_image), fitted, lambda: hung.angles)
-    return pose._replace(angles=pose.angles.at[dofs].set(angles))
-
-
-def arms_at_minimum(
-    model: Model,
-    settings: Settings,
-    fields: EdgeFields,
-    pose: Pose,
-    grip_targets: Array,
-    elbows: Array,
-) -> Pose:
-    """A pose that ``refine_arms`` found, with the derivatives of the minimum beside it.
-
-    The pose is as it was given; the arguments are those of ``refine_arms``.
-    """
-    costs = _arm_costs(model, settings, fields.by_arm(), grip_targets, elbows)
-    hung, dofs = hang(model.skeleton, pose, model.grips), arm_dofs(model.skeleton.tree)
-
-    def slope(moves: Array) -> Array:
-        def cost(moves: Array) -> Array:
-            arms, angles = swing(hung, moves)
-            return sum((jnp.sum(each(arms, angles)) for each in costs), start=jnp.zeros(()))
-
-        return jax.grad(cost)(moves)
-
-    step = jax.vmap(curved_step)(*_by_arm(slope, jnp.zeros_like(hung.angles)))
-    has_image = jnp.any(jnp.asarray(fields.available), 0)[:, None]
-    step = jnp.where(has_image, step - jax.lax.stop_gradient(step), 0.0)
-    return pose._replace(angles=pose.angles.at[dofs].set(swing(hung, step)[1]))
-
-
-def _by_arm(slope: Callable[[Array], Array], still: Array) -> tuple[Array, Array]:
-    """Each arm's slope (2, 4) and its Hessian (2, 4, 4): arms do not depend on one another."""
-    H = jax.jacfwd(slope)(still)
-    return slope(still), jnp.stack([H[arm, :, arm] for arm in range(len(still))])
-
-
-def _arm_costs(
-    model: Model, settings: Settings, fields: EdgeFields, grip_targets: Array, elbows: Array
-) -> tuple[ArmCost, ...]:
-    """The terms of equation (14), and the searched elbow; fields with the arms' axis first."""
-    own, limits = settings.simplex, model.skeleton.limits[arm_dofs(model.skeleton.tree)]
-    of_arm = partial(settings.edges.arm_cost, model.cameras)
-
-    def on_edges(arms: Arms, _: Array) -> Array:
-        return jax.vmap(of_arm)(fields, flesh(arms))
-
-    def held(arms: Arms, _: Array) -> Array:
-        away = off_targets(arms.grip, grip_targets)
-        return own.hold * jnp.sqrt(jnp.sum(away**2, -1) + 1e-12)
-
-    def within_limits(_: Arms, angles: Array) -> Array:
-        return own.limit * jnp.sum(beyond_limits(limits, angles), -1)
-
-    def near_searched(arms: Arms, _: Array) -> Array:
-        return jnp.sum((arms.elbow - elbows) ** 2, -1) / own.elbow**2 / 2
-
-    costs = (on_edges, held, within_limits)
-    return (*costs, near_searched) if settings.search else costs
+        edges = settings.edges.weighted(model, fields, pose)
+        return refine_body(model, settings, edges, pose, aims)
+    return refine_arms(model, settings, fields, pose, grip_targets, aims.elbows), no_status()
 
 
 def updated_belief(

@@ -29,20 +29,28 @@ class IKSettings:
     goals: PointGoals = group(PointGoals, "of markers and unmarked feet")
     elbows: ElbowGoals = group(lambda: ElbowGoals(deviation=0.03), "of the searched elbows")  # type: ignore[arg-type]
 
+    solver: Literal["newton", "sdls"] = static(
+        "newton",
+        "the minimum of goals and secondary task by a damped Newton method; or algorithm 1 by "
+        "selectively damped least squares, as in the paper",
+    )
+    memory: Array = traced(
+        0.5,
+        "of a degree of freedom about the last sample's pose, weighted radians; not for algorithm "
+        "1, which remembers by few iterations",
+    )
     iterations: Array = counted(30, "most iterations of algorithm 1 in a frame")
     settle: Array = counted(
         4,
-        "iterations that every frame makes, so that the secondary task acts while markers are met",
+        "iterations that it always makes, so that the secondary task acts while markers are met",
     )
     following: Array = counted(
         4,
-        "iterations that follow the elbows of the search; as many as are needed then bring the "
-        "markers home",
+        "iterations of it that follow the elbows of the search; as many as are needed then bring "
+        "the markers home",
     )
-    tolerance: Array = traced(1e-3, "distance at which an effector is at its target, metres")
-    rest: Array = traced(
-        2e-3, "largest weighted angle of a step at which the solve has come to rest"
-    )
+    tolerance: Array = traced(1e-3, "distance at which it has an effector at its target, metres")
+    rest: Array = traced(2e-3, "largest weighted angle of a step at which it has come to rest")
     leg_weight: Array = traced(
         0.8, "of markers and unmarked feet below the pelvis, against 1 for the others"
     )
@@ -119,14 +127,14 @@ class SimplexSettings:
 class GradientSettings:
     """What a user may tune of the gradient refinement; each ``Term`` among it takes part."""
 
-    method: Literal["levenberg-marquardt", "gauss-newton", "bfgs"] = static(
-        "levenberg-marquardt", "of descent"
+    method: Literal["newton", "levenberg-marquardt", "gauss-newton", "bfgs"] = static(
+        "newton", "of descent: our damped Newton method, or one of optimistix'"
     )
-    steps: int = static(20, "most of them")
+    steps: int = static(100, "most of them")
     tolerance: float = static(
         1e-2,
-        "at rest where nothing moves by more than this share of its prior's deviation; BFGS, whose "
-        "first steps are short, needs a smaller one",
+        "optimistix is at rest where nothing moves by more than this share of its prior's "
+        "deviation; BFGS, whose first steps are short, needs a smaller one",
     )
     goals: PointGoals = group(PointGoals, "of markers and unmarked feet")
     elbows: SearchedElbows = group(SearchedElbows, "of the searched elbows")
@@ -183,7 +191,7 @@ class Settings:
         return cls(
             search=False, balance="after", spacing=1, smooth=False,
             edge_detection=EdgeSettings(equalise=True, memory=0.0),
-            ik=IKSettings(feet="stand"),
+            ik=IKSettings(solver="sdls", feet="stand"),
             edges=EdgeEvidence(compared="coverage", drawn=True),
         )  # fmt: skip
 

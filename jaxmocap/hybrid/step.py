@@ -1,12 +1,11 @@
 """A step of the tracker as pure functions of arrays, alone and over many events at once.
 
-    start    first markers -> pose, feet
-    solve    markers -> pose (section 4), and the regions where it puts the arms
-    refine   pose, fields of edges -> search and simplex (5.1, 5.2), balance (5.3) -> pose, belief
-    scans    ``solve`` and ``refine`` over many events, without leaving the device in between
+    solve_event    markers -> pose (section 4), and the regions where it puts the arms
+    refine_event   pose, fields of edges -> search and simplex (5.1, 5.2), balance (5.3)
+    scans          both over many events, without leaving the device in between
 
-``solve`` reads its own last pose only, so regions are settled before any image is looked at. What
-the video taught lives in refine's belief, and is carried to the samples between two video frames.
+``solve_event`` reads its own last pose only, so regions are settled before any image is looked at.
+What the video taught lives in the belief, and is carried to the samples between two video frames.
 
 The model is an argument: another person needs no new program. Many recordings go side by side by
 ``jax.vmap`` over the scans, whatever differs between them along a new first axis.
@@ -32,34 +31,16 @@ from jaxmocap.compilation.clock import Clock
 from jaxmocap.compilation.programs import Program
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.hybrid.balance import bow_factors, spine_dofs
-from jaxmocap.hybrid.elbow_search import ElbowBelief, no_belief
+from jaxmocap.hybrid.elbow_search import ElbowBelief
 from jaxmocap.hybrid.feet import FootPlacement, place
-from jaxmocap.hybrid.ik import goal_distances, goals_of, solve_ik
-from jaxmocap.hybrid.observe import ArmThresholds, arm_regions, observe
-from jaxmocap.hybrid.refine import Solved, StepReport, refine
+from jaxmocap.hybrid.ik import solve_ik
+from jaxmocap.hybrid.observe import ArmThresholds, arm_regions, edge_fields
+from jaxmocap.hybrid.refine import Solved, StepReport, refine_event
 from jaxmocap.hybrid.settings import Settings
 
 # Events of a scan: few enough that their images take little memory, and that the next chunk can be
 # solved while this one is looked at.
 EVENTS = 32
-# At the first markers the body rests where its joints turn by less, radians,
-AT_REST_RAD = 1e-3
-# or after so many solves.
-MOST_SETTLING = 10
-
-
-class Start(NamedTuple):
-    """What a tracker begins with.
-
-    Attributes:
-        pose: of the first markers.
-        feet: where they stand.
-        belief: about the elbows.
-    """
-
-    pose: Pose
-    feet: FootPlacement
-    belief: ElbowBelief
 
 
 class State(NamedTuple):
@@ -112,12 +93,6 @@ class EventFields(NamedTuple):
         return cls(distances, available, which)
 
 
-def placed(model: Model, settings: Settings, targets: Array) -> Start:
-    """The body placed by its first markers (M, 3): it is not at rest on them yet."""
-    pose, feet = place(model, settings.ik, targets)
-    return Start(pose, feet, no_belief(settings.elbow_search, pose))
-
-
 def balanced_by(model: Model, settings: Settings) -> Array:
     """(S,) p_i of the balance heuristic, of a person with S hinges of the spine; 0 without it."""
     if settings.balance == "none":
@@ -125,48 +100,31 @@ def balanced_by(model: Model, settings: Settings) -> Array:
     return bow_factors(model.skeleton, settings.ik)
 
 
-def start(model: Model, settings: Settings, targets: Array) -> Start:
-    """Place the body by its first markers (M, 3), and let it come to rest on them."""
-
-    def unsettled(carry: tuple[Array, Array, Pose, FootPlacement]) -> Array:
-        count, turned, _, _ = carry
-        return (count < MOST_SETTLING) & (turned >= AT_REST_RAD)
-
-    def settle(
-        carry: tuple[Array, Array, Pose, FootPlacement],
-    ) -> tuple[Array, Array, Pose, FootPlacement]:
-        count, _, pose, feet = carry
-        ik = solve(model, settings, pose, feet, targets).ik
-        turned = jnp.max(jnp.abs(ik.pose.angles - pose.angles))
-        return count + 1, turned, ik.pose, ik.feet
-
-    begun, far = placed(model, settings, targets), jnp.asarray(jnp.inf, targets.dtype)
-    first = (jnp.zeros((), jnp.int32), far, begun.pose, begun.feet)
-    _, _, pose, feet = jax.lax.while_loop(unsettled, settle, first)
-    return begun._replace(pose=pose, feet=feet)
+def nowhere(model: Model) -> tuple[Pose, FootPlacement]:
+    """What a tracker knows of a body before its first markers: ``solve_event`` places it."""
+    dtype = model.dtype
+    unknown, upright = np.full(3, np.nan, dtype), np.array([1, 0, 0, 0], dtype)
+    pose = Pose(jnp.asarray(unknown), jnp.asarray(upright), model.skeleton.relaxed)
+    ankles = jnp.asarray(np.zeros((2, 3), dtype))
+    return pose, FootPlacement(ankles, jnp.asarray(np.zeros((), bool)))
 
 
-def solve(
+def solve_event(
     model: Model, settings: Settings, pose: Pose, feet: FootPlacement, targets: Array
 ) -> Solved:
     """Markers (M, 3), NaN where missing, to pose and regions, from the last pose and its feet."""
-    skeleton, goals = model.skeleton, goals_of(model, settings.ik, feet, targets)
-    placed = jnp.max(goal_distances(skeleton, goals, pose)[: len(targets)]) > settings.ik.lost
-    pose, feet = jax.lax.cond(
-        placed, lambda: place(model, settings.ik, targets), lambda: (pose, feet)
-    )
     ik = solve_ik(model, settings.ik, pose, feet, targets)
     if model.cameras is None:
-        return Solved(ik, placed, None)
-    arms = arms_of(skeleton, forward(skeleton, ik.pose), model.grips)
+        return Solved(ik, None)
+    arms = arms_of(model.skeleton, forward(model.skeleton, ik.pose), model.grips)
     region = arm_regions(model.cameras, arms, settings.samples, settings.margin, settings.spacing)
-    return Solved(ik, placed, region)
+    return Solved(ik, region)
 
 
 def solve_events(
     model: Model, settings: Settings, first: tuple[Pose, FootPlacement], markers: Array
 ) -> tuple[tuple[Pose, FootPlacement], Solved]:
-    """``solve`` at all events: (E, M, 3) markers to the last pose and feet, and all results.
+    """``solve_event`` at all events: (E, M, 3) markers to the last pose and feet, and all results.
 
     Args:
         model: of the person, the markers and the cameras.
@@ -178,14 +136,14 @@ def solve_events(
     def one(
         last: tuple[Pose, FootPlacement], targets: Array
     ) -> tuple[tuple[Pose, FootPlacement], Solved]:
-        solved = solve(model, settings, *last, targets)
+        solved = solve_event(model, settings, *last, targets)
         return (solved.ik.pose, solved.ik.feet), solved
 
     return jax.lax.scan(one, first, markers)
 
 
 class RefineInputs(NamedTuple):
-    """What ``refine`` needs of E events.
+    """What ``refine_event`` needs of E events.
 
     Attributes:
         solved: (E, ...) of ``solve_events``.
@@ -203,7 +161,7 @@ class RefineInputs(NamedTuple):
 def refine_events(
     model: Model, settings: Settings, bow_factors: Array, events: RefineInputs, belief: ElbowBelief
 ) -> tuple[ElbowBelief, tuple[Pose, StepReport]]:
-    """``refine`` at all events: the last belief, and the refined poses and reports (E, ...).
+    """``refine_event`` at all events: the last belief, and the refined poses and reports (E, ...).
 
     Args:
         model: of the person, the markers and the cameras.
@@ -219,7 +177,7 @@ def refine_events(
         if events.fields is not None:
             distances, available, _ = map(jnp.asarray, events.fields)
             fields = EdgeFields(solved.region, distances[which], available[which])
-        last, pose, report = refine(
+        last, pose, report = refine_event(
             model, settings, bow_factors, solved, targets, fields, last, elapsed
         )
         return last, (pose, report)
@@ -231,11 +189,11 @@ def refine_events(
 
 # What runs once is not optimised. Live, the tenth that an image's refinement would take longer
 # counts; offline the first start.
-PLACE = Program(placed, "place", effort="once")
+PLACE = Program(place, "place", effort="once")
 BALANCE = Program(balanced_by, "balance", effort="once")
-SOLVE = Program(solve, "solve", effort="quick")
-REFINE = Program(refine, "refine", effort="full")
-SEARCH = Program(refine, "search", effort="quick")
+SOLVE = Program(solve_event, "solve", effort="quick")
+REFINE = Program(refine_event, "refine", effort="full")
+SEARCH = Program(refine_event, "search", effort="quick")
 REFINE_EVENTS = Program(refine_events, "refine_events", effort="quick")
 
 
@@ -327,9 +285,9 @@ class ChunkedEvents:
                 self._clock.keep("decode", began)
                 own = jax.tree.map(lambda part, i=row: part[i], region)
                 fields[row], self._thresholds = self._clock.timed(
-                    "observe", observe, settings, self._thresholds, images, own
+                    "observe", edge_fields, settings, self._thresholds, images, own
                 )
-        nothing, _ = observe(
+        nothing, _ = edge_fields(
             settings, self._thresholds, None, jax.tree.map(lambda part: part[0], region)
         )
         return EventFields.of(nothing, fields), sum(own is not None for own in fields)

@@ -1,15 +1,15 @@
 """The hybrid tracker: markers and one or several cameras to a pose, frame by frame.
 
-A frame is two jitted calls with OpenCV's image chain between them: ``solve``, ``observe``,
-``refine`` (``step``). ``step`` takes one event, ``scan`` a whole recording chunk by chunk.
+A frame is two jitted calls of ``hybrid.step`` with OpenCV's image chain between them.
+``HybridTracker.step`` takes one event, ``scan`` a whole recording chunk by chunk.
 
 INPUTS: a Model, Settings; markers and images over time. OUTPUTS: states, poses, reports.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from copy import copy
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -22,19 +22,17 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.arguments import check_shape, is_traced
 from jaxmocap.compilation.clock import Clock
+from jaxmocap.compilation.programs import Program
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.balance import spine_dofs
-from jaxmocap.hybrid.elbow_search import ElbowBelief
-from jaxmocap.hybrid.observe import no_thresholds, observe
+from jaxmocap.hybrid.elbow_search import ElbowBelief, no_belief
+from jaxmocap.hybrid.observe import edge_fields, no_thresholds
 from jaxmocap.hybrid.refine import Solved, StepReport
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import (
-    AT_REST_RAD,
     BALANCE,
     EVENTS,
-    MOST_SETTLING,
-    PLACE,
     REFINE,
     REFINE_EVENTS,
     SEARCH,
@@ -45,6 +43,7 @@ from jaxmocap.hybrid.step import (
     Images,
     RefineInputs,
     State,
+    nowhere,
     one_ahead,
 )
 from jaxmocap.solvers.status import Status
@@ -78,11 +77,8 @@ class HybridTracker:
         if chosen.ik.feet == "follow":
             self.model = on_unmarked_feet(self.model)
         self.settings = chosen if self.model.camera_count else replace(chosen, refine="none")
-        self._solve: Callable[[], Callable] | None = None
-        self._refine: Callable[[], Callable] | None = None
-        self._refine_events: Callable[[], Callable] | None = None
-        self._balance: Callable[[], Callable] | None = None
-        self._bow_factors: Array | None = None
+        # By name, what waits for a program that is compiled beside.
+        self._programs: dict[str, Callable[[], Callable]] = {}
 
     @classmethod
     def from_recording(
@@ -103,9 +99,9 @@ class HybridTracker:
         """The same, where nothing follows the search for the elbows."""
         if self.settings.refine in ("none", "search"):
             return self
-        other = copy(self)
+        other = object.__new__(HybridTracker)
+        other.model, other._programs = self.model, {}
         other.settings = replace(self.settings, refine="search")
-        other._solve = other._refine = other._refine_events = None
         return other
 
     def compile_ahead(self, scan: bool = False) -> None:
@@ -114,13 +110,10 @@ class HybridTracker:
         (self._refining_events if scan else self._refining)()
         self._balancing()
 
-    @property
+    @cached_property
     def bow_factors(self) -> Array:
         """(S,) of the balance heuristic, for this person."""
-        factors = self._bow_factors
-        if factors is None:
-            self._bow_factors = factors = self._balancing()()(self.model, self.settings)
-        return factors
+        return self._balancing()()(self.model, self.settings)
 
     def init(self, markers_world: np.ndarray | Array) -> State:
         """The state before the first event, at rest on its (M, 3) markers; NaN where missing.
@@ -129,18 +122,11 @@ class HybridTracker:
             TypeError: called while JAX traces.
             ValueError: other markers than the model's.
         """
-        targets, solving = self._targets("init", markers_world), self._solving()
+        targets = self._targets("init", markers_world)
         self._balancing()
-        begun = PLACE(self.model, self.settings, targets)
-        pose, feet = begun.pose, begun.feet
-        for _ in range(MOST_SETTLING):
-            ik = solving()(self.model, self.settings, pose, feet, targets).ik
-            turned = np.abs(np.asarray(ik.pose.angles) - np.asarray(pose.angles)).max()
-            pose, feet = ik.pose, ik.feet
-            if turned < AT_REST_RAD:
-                break
-        thresholds = no_thresholds(self.model.camera_count)
-        return State(pose, feet, begun.belief, thresholds, None)
+        ik = self._solving()()(self.model, self.settings, *nowhere(self.model), targets).ik
+        belief = no_belief(self.settings.elbow_search, ik.pose)
+        return State(ik.pose, ik.feet, belief, no_thresholds(self.model.camera_count), None)
 
     def step(
         self,
@@ -173,7 +159,7 @@ class HybridTracker:
         fields, thresholds = None, state.thresholds
         if solved.region is not None:
             fields, thresholds = clock.timed(
-                "observe", observe, settings, thresholds, images, solved.region
+                "observe", edge_fields, settings, thresholds, images, solved.region
             )
         elapsed = np.asarray(0.0 if state.time is None else time - state.time, model.dtype)
         belief, pose, report = clock.timed(
@@ -265,54 +251,58 @@ class HybridTracker:
 
     def _solving(self) -> Callable[[], Callable]:
         """What waits for ``solve``, which compiles beside from the first time on."""
-        if self._solve is None:
-            first = PLACE.shapes(self.model, self.settings, self._like())
-            like = self.model, self.settings, first.pose, first.feet, self._like()
-            self._solve = SOLVE.beside(*like)
-        return self._solve
+        like = (*nowhere(self.model), self._like())
+        return self._beside("solve", lambda: (SOLVE, like))
 
     def _balancing(self) -> Callable[[], Callable]:
         """What waits for the factors of the balance heuristic, likewise."""
-        if self._balance is None:
-            self._balance = BALANCE.beside(self.model, self.settings)
-        return self._balance
+        return self._beside("balance", lambda: (BALANCE, ()))
 
     def _refining(self) -> Callable[[], Callable]:
         """What waits for ``refine`` of an event, likewise."""
-        if self._refine is None:
-            belief, solved = self._shapes()
-            given = solved, self._like(), self._no_fields(solved), belief
-            program = SEARCH if self.settings.refine == "search" else REFINE
-            self._refine = program.beside(
-                self.model, self.settings, self._no_bow(), *given, np.zeros((), self.model.dtype)
-            )
-        return self._refine
+
+        def asked() -> tuple[Program, tuple]:
+            solved, belief = self._shapes()
+            elapsed = np.zeros((), self.model.dtype)
+            given = solved, self._like(), self._no_fields(solved), belief, elapsed
+            return SEARCH if self.settings.refine == "search" else REFINE, (self._no_bow(), *given)
+
+        return self._beside("refine", asked)
 
     def _refining_events(self) -> Callable[[], Callable]:
         """What waits for the scan's ``refine``, likewise."""
-        if self._refine_events is None:
-            belief, one = self._shapes()
-            solved, nothing = jax.tree.map(_of_chunk, one), self._no_fields(one)
-            dtype = self.model.dtype
-            fields = None if nothing is None else EventFields.of(nothing, [None] * EVENTS)
-            given = RefineInputs(solved, _of_chunk(self._like()), fields, np.zeros(EVENTS, dtype))
-            self._refine_events = REFINE_EVENTS.beside(
-                self.model, self.settings, self._no_bow(), given, belief
-            )
-        return self._refine_events
 
-    def _shapes(self) -> tuple[ElbowBelief, Solved]:
-        """Of a belief, and of what an event's ``solve`` finds."""
-        given = self.model, self.settings
-        first = PLACE.shapes(*given, self._like())
-        return first.belief, SOLVE.shapes(*given, first.pose, first.feet, self._like())
+        def asked() -> tuple[Program, tuple]:
+            one, belief = self._shapes()
+            solved, nothing = jax.tree.map(_of_chunk, one), self._no_fields(one)
+            fields = None if nothing is None else EventFields.of(nothing, [None] * EVENTS)
+            elapsed = np.zeros(EVENTS, self.model.dtype)
+            inputs = RefineInputs(solved, _of_chunk(self._like()), fields, elapsed)
+            return REFINE_EVENTS, (self._no_bow(), inputs, belief)
+
+        return self._beside("refine_events", asked)
+
+    def _beside(
+        self, name: str, asked: Callable[[], tuple[Program, tuple]]
+    ) -> Callable[[], Callable]:
+        """What waits for a program, which is compiled for arguments such as these."""
+        if name not in self._programs:
+            program, like = asked()
+            self._programs[name] = program.beside(self.model, self.settings, *like)
+        return self._programs[name]
+
+    def _shapes(self) -> tuple[Solved, ElbowBelief]:
+        """Of what an event's ``solve`` finds, and of a belief."""
+        given = (*nowhere(self.model), self._like())
+        solved = SOLVE.shapes(self.model, self.settings, *given)
+        return solved, jax.eval_shape(no_belief, self.settings.elbow_search, solved.ik.pose)
 
     def _no_fields(self, solved: Solved) -> EdgeFields | None:
         """Of an event without images."""
         if solved.region is None:
             return None
         nowhere = jax.tree.map(lambda part: np.zeros(part.shape, part.dtype), solved.region)
-        return observe(self.settings, no_thresholds(self.model.camera_count), None, nowhere)[0]
+        return edge_fields(self.settings, no_thresholds(self.model.camera_count), None, nowhere)[0]
 
     def _no_bow(self) -> np.ndarray:
         """(S,) factors of the balance heuristic that bow nothing."""
@@ -332,7 +322,7 @@ def _unrefined(solved: Solved, targets: np.ndarray) -> StepReport:
     unknown, ik = np.full(2, np.nan, targets.dtype), solved.ik
     errors = np.full(len(targets), np.nan, targets.dtype)
     each: tuple[Any, ...] = (
-        ik.pose, errors, unknown, np.zeros(2, targets.dtype), unknown, ik.iterations, ik.planted,
-        solved.placed, np.bool_(False), np.int32(Status.CONVERGED),
+        ik.pose, errors, unknown, np.zeros(2, targets.dtype), unknown, ik.planted, ik.placed,
+        np.bool_(False), np.int32(Status.CONVERGED),
     )  # fmt: skip
     return StepReport(*each)

@@ -23,9 +23,10 @@ from jax import Array
 
 from jaxmocap.solvers.sdls import HIGHEST
 
-# Damping, as shares of the Hessian's diagonal, down to the precision; and its factors after a step
-# that lowered the cost, and after another.
-FIRST_DAMPING, LARGEST_DAMPING = 0.1, 1e6
+# Damping, as shares of the Hessian's diagonal, down to the precision: where nothing is known of the
+# start, where the start is near, at most; and its factors after a step that lowered the cost, and
+# after another.
+FIRST_DAMPING, NEAR_DAMPING, LARGEST_DAMPING = 0.1, 1e-3, 1e6
 LOWERED, NOT_LOWERED = 0.3, 20.0
 # A step whose largest entry is this many roots of the precision is short. After one the damping
 # goes, and after another the descent ends.
@@ -78,6 +79,20 @@ class Problem(NamedTuple):
     room: Callable[[Any], tuple[Array, Array]]
 
 
+class Descent(NamedTuple):
+    """How a descent ended.
+
+    Attributes:
+        x: of least cost.
+        cost: () half the squares of its residuals.
+        rests: () whether that is a minimum; else the steps ran out.
+    """
+
+    x: Any
+    cost: Array
+    rests: Array
+
+
 class _Progress(NamedTuple):
     """Between two steps: the best point so far, and the one that is tried next."""
 
@@ -90,8 +105,10 @@ class _Progress(NamedTuple):
     ended: Array
 
 
-def descend(problem: Problem, start: Any, steps: int) -> tuple[Any, Array]:
-    """The x of least cost near a start, and its cost; nothing is differentiated.
+def descend(
+    problem: Problem, start: Any, steps: int, damping: Array | float = FIRST_DAMPING
+) -> Descent:
+    """The x of least cost near a start; nothing is differentiated.
 
     A step is Newton's where the damped Hessian is positive, else Gauss-Newton's. What the residuals
     turn out to bend by along it, a second solve takes back. An unknown at its bound rests there
@@ -101,6 +118,7 @@ def descend(problem: Problem, start: Any, steps: int) -> tuple[Any, Array]:
         problem: to solve.
         start: within the bounds.
         steps: at most.
+        damping: of the first one, as a share of the Hessian's diagonal.
     """
     like = jax.eval_shape(problem.about, start)
     dtype = like.residuals.dtype
@@ -132,13 +150,13 @@ def descend(problem: Problem, start: Any, steps: int) -> tuple[Any, Array]:
     unknown = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), like)
     begun = _Progress(
         jnp.zeros((), jnp.int32), start, Local(*unknown), start,
-        jnp.asarray(FIRST_DAMPING, dtype), jnp.zeros((), bool), jnp.zeros((), bool),
+        jnp.asarray(damping, dtype), jnp.zeros((), bool), jnp.zeros((), bool),
     )  # fmt: skip
     end = jax.lax.while_loop(unfinished, step, begun)
     # The last step was too short for its cost to tell.
     done = end.ended & end.short
     x = jax.tree.map(lambda new, old: jnp.where(done, new, old), end.tried, end.best)
-    return x, end.local.cost
+    return Descent(x, end.local.cost, end.ended)
 
 
 def _corrected_step(problem: Problem, x: Any, local: Local, damping: Array) -> Array:

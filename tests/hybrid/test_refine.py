@@ -34,8 +34,8 @@ from jaxmocap.body.kinematics import Sites, forward
 from jaxmocap.body.model import Model
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import project
+from jaxmocap.hybrid.fit import refine_arms
 from jaxmocap.hybrid.observe import arm_regions
-from jaxmocap.hybrid.refine import refine_arms
 from jaxmocap.hybrid.settings import Settings, SimplexSettings
 from jaxmocap.images.regions import to_region
 from jaxmocap.reference.hybrid import pipeline as reference

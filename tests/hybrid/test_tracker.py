@@ -20,10 +20,10 @@ from jaxmocap.compilation.programs import Program
 from jaxmocap.hybrid import tracker as tracker_module
 from jaxmocap.hybrid.balance import spine_dofs, squat_goals
 from jaxmocap.hybrid.ik import goals_of
-from jaxmocap.hybrid.observe import observe
-from jaxmocap.hybrid.refine import refine
+from jaxmocap.hybrid.observe import edge_fields
+from jaxmocap.hybrid.refine import refine_event
 from jaxmocap.hybrid.settings import IKSettings, Settings, SimplexSettings
-from jaxmocap.hybrid.step import SOLVE, solve
+from jaxmocap.hybrid.step import SOLVE, solve_event
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.reference import kinematics as reference
 from jaxmocap.reference.hybrid import ik as reference_ik
@@ -47,7 +47,7 @@ TRACED: dict[bool, list[str]] = {True: [], False: []}
 
 
 def counting(function, model, *rest):
-    TRACED[model.cameras is not None].append(function.__name__)
+    TRACED[model.cameras is not None].append(function.__name__.removesuffix("_event"))
     return function(model, *rest)
 
 
@@ -55,8 +55,7 @@ def counting(function, model, *rest):
 def counted():
     """From now on both programs count how often they are traced."""
     with pytest.MonkeyPatch.context() as patched:
-        for function in (solve, refine):
-            name = function.__name__
+        for name, function in {"solve": solve_event, "refine": refine_event}.items():
             own = update_wrapper(partial(counting, function), function)
             # Of this run: what an earlier one kept would not be traced.
             program = Program(own, name, static=time_ns())
@@ -122,7 +121,7 @@ def test_other_numbers_do_not_trace_again(tracker):
     try:
         other = Model.create(Skeleton.human(1.6, 50.0), MARKERS, FRONT)
         tracker.model = on_unmarked_feet(other)
-        tracker.settings = replace(settings, ik=IKSettings(iterations=12, floor=0.1))
+        tracker.settings = replace(settings, ik=IKSettings(memory=0.7, floor=0.1))
         state, _, _ = tracker.step(state, 0.1, markers_of(TRUTH), [image_of(TRUTH)])
     finally:
         tracker.model, tracker.settings = model, settings
@@ -299,7 +298,7 @@ def of_reference(tracker, state, markers, image, start):
     goals = goals_of(model, settings.ik, solved.ik.feet, jnp.asarray(targets))
     body, camera = jax.tree.map(np.asarray, (model.skeleton, FRONT))
     by_markers, _ = reference_ik.reach(body, goals, settings.ik, start)
-    fields, _ = observe(settings, state.thresholds, [image], solved.region)
+    fields, _ = edge_fields(settings, state.thresholds, [image], solved.region)
     origin, scale = (np.asarray(part, float)[0] for part in solved.region)
     distances = np.asarray(fields.distances)[0, :, 0]
     views = [

@@ -12,7 +12,7 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.rotations import about_axis, compose, rotate
-from jaxmocap.hybrid.observe import arm_regions, no_thresholds, observe
+from jaxmocap.hybrid.observe import arm_regions, edge_fields, no_thresholds
 from jaxmocap.hybrid.settings import Settings
 
 SIZE = 96
@@ -92,4 +92,4 @@ def observed(images, cameras, arms, settings: Settings | None = None) -> EdgeFie
     """The fields of first images, in the regions where ``arms`` are."""
     settings = settings or Settings(region=SIZE)
     regions = arm_regions(cameras, arms, settings.samples, settings.margin, settings.spacing)
-    return observe(settings, no_thresholds(len(images)), images, regions)[0]
+    return edge_fields(settings, no_thresholds(len(images)), images, regions)[0]

@@ -1,0 +1,211 @@
+"""The body is fitted to the edges (section 5.2): outlines are brought onto them.
+
+A downhill simplex over each arm's four degrees of freedom, as in the paper, or the whole body at
+the minimum of its terms.
+
+INPUTS: a Model, a pose, distance fields of edges. OUTPUTS: the fitted pose.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxmocap.body.arms import Arms, arm_dofs, flesh, hang, swing
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose, beyond_limits, retract
+from jaxmocap.evidence.edges import EdgeFields, WeightedEdges
+from jaxmocap.evidence.markers import Goals, off_targets
+from jaxmocap.evidence.terms import residuals
+from jaxmocap.hybrid.minimum import at_minimum, pose_at_minimum
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.solvers.optimum import curved_step
+from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
+from jaxmocap.solvers.status import Status
+
+# A degree of freedom that is held may move by this share of its prior, where optimistix descends.
+HELD = 1e-3
+
+
+class Aims(NamedTuple):
+    """What the body is to meet beside the edges.
+
+    Attributes:
+        goals: markers and unmarked feet.
+        elbows: (2, 3) of the search, world, metres.
+        centre: the pose that the priors are about.
+        free: (6 + D,) degrees of freedom that may move; all where it is None.
+    """
+
+    goals: Goals
+    elbows: Array
+    centre: Pose
+    free: Array | None
+
+
+def no_status() -> Array:
+    """Of a fit that had nothing to do."""
+    return jnp.asarray(int(Status.CONVERGED), jnp.int32)
+
+
+def refine_body(
+    model: Model, settings: Settings, edges: WeightedEdges, start: Pose, aims: Aims
+) -> tuple[Pose, Array]:
+    """The whole body at the minimum of ``settings.gradient_terms``, and a ``Status``.
+
+    The start itself where no camera has an image: between two of them there is nothing to fit.
+
+    Both arms together, and with them the trunk that carries the shoulders: three markers leave that
+    uncertain too. Half the squared sum of the residuals means what the simplex's cost means, in
+    nats. The pose is differentiable by all but its start.
+
+    Args:
+        model: of the person, the markers and the cameras.
+        settings: of the tracker.
+        edges: of both arms, and how much each point of an outline counts.
+        start: a pose.
+        aims: what else is to be met.
+    """
+    return jax.lax.cond(
+        jnp.any(jnp.asarray(edges.fields.available)),
+        partial(_body_at_minimum, model, settings, edges, start, aims),
+        lambda: (start, no_status()),
+    )
+
+
+def _body_at_minimum(
+    model: Model, settings: Settings, edges: WeightedEdges, start: Pose, aims: Aims
+) -> tuple[Pose, Array]:
+    own, terms = settings.gradient, settings.gradient_terms
+    measured = {"edges": edges, "goals": aims.goals, "centre": aims.centre}
+    if settings.search:
+        measured["elbows"] = aims.elbows
+    if own.method == "newton":
+        return pose_at_minimum(model, terms, measured, start, free=aims.free, steps=own.steps)
+    # Here, since optimistix takes half a second to import.
+    from jaxmocap.solvers.least_squares import least_squares
+
+    scale = own.near.deviations(model.skeleton)
+    if aims.free is not None:
+        scale = scale * jnp.where(aims.free, 1.0, HELD)
+
+    def whitened(point: Array, _: None) -> Array:
+        return residuals(terms, model, retract(start, scale * point), measured)
+
+    found = least_squares(
+        whitened, jnp.zeros_like(scale), method=own.method, largest_steps=own.steps,
+        relative=own.tolerance, absolute=own.tolerance,
+    )  # fmt: skip
+    pose, (low, high) = retract(start, scale * found.point), model.skeleton.limits.T
+    pose = pose._replace(angles=jnp.clip(pose.angles, low, high))
+    return at_minimum(model, terms, measured, pose, aims.free), found.status
+
+
+# Costs (2) of both arms, from arms and their (2, 4) joint angles.
+ArmCost = Callable[[Arms, Array], Array]
+
+
+def refine_arms(
+    model: Model,
+    settings: Settings,
+    fields: EdgeFields,
+    pose: Pose,
+    grip_targets: Array,
+    elbows: Array,
+) -> Pose:
+    """Minimise equation (14) over each arm's four degrees of freedom by the downhill simplex.
+
+    An arm without an image stays as it is.
+
+    Args:
+        model: of the person, the markers and the cameras.
+        settings: of the tracker.
+        fields: of both arms.
+        pose: to start from.
+        grip_targets: (2, 3) t of equation (14), world, metres.
+        elbows: (2, 3) of the search.
+    """
+    own, by_arm = settings.simplex, fields.by_arm()
+    dofs = arm_dofs(model.skeleton.tree)
+    limits = model.skeleton.limits[dofs]
+    hung = hang(model.skeleton, pose, model.grips)
+    costs = _arm_costs(model, settings, by_arm, grip_targets, elbows)
+
+    def cost(moves: Array) -> Array:
+        arms, angles = swing(hung, moves)
+        return sum((each(arms, angles) for each in costs), start=jnp.zeros(2, angles.dtype))
+
+    still = jnp.zeros_like(hung.angles)
+    has_image = jnp.any(by_arm.available, -1)[:, None]
+
+    def fitted() -> Array:
+        lengths = jnp.full(4, own.other_edge).at[0].set(own.swivel_edge)
+        first = initial_simplex(still, jnp.diag(lengths))
+        moves = downhill_simplex(cost, first, own.iterations).points
+        angles = swing(hung, jnp.where(has_image, moves, still))[1]
+        return jnp.where(has_image, jnp.clip(angles, limits[..., 0], limits[..., 1]), hung.angles)
+
+    # Between two images there is nothing to fit.
+    angles = jax.lax.cond(jnp.any(has_image), fitted, lambda: hung.angles)
+    return pose._replace(angles=pose.angles.at[dofs].set(angles))
+
+
+def arms_at_minimum(
+    model: Model,
+    settings: Settings,
+    fields: EdgeFields,
+    pose: Pose,
+    grip_targets: Array,
+    elbows: Array,
+) -> Pose:
+    """A pose that ``refine_arms`` found, with the derivatives of the minimum beside it.
+
+    The pose is as it was given; the arguments are those of ``refine_arms``.
+    """
+    costs = _arm_costs(model, settings, fields.by_arm(), grip_targets, elbows)
+    hung, dofs = hang(model.skeleton, pose, model.grips), arm_dofs(model.skeleton.tree)
+
+    def slope(moves: Array) -> Array:
+        def cost(moves: Array) -> Array:
+            arms, angles = swing(hung, moves)
+            return sum((jnp.sum(each(arms, angles)) for each in costs), start=jnp.zeros(()))
+
+        return jax.grad(cost)(moves)
+
+    step = jax.vmap(curved_step)(*_by_arm(slope, jnp.zeros_like(hung.angles)))
+    has_image = jnp.any(jnp.asarray(fields.available), 0)[:, None]
+    step = jnp.where(has_image, step - jax.lax.stop_gradient(step), 0.0)
+    return pose._replace(angles=pose.angles.at[dofs].set(swing(hung, step)[1]))
+
+
+def _by_arm(slope: Callable[[Array], Array], still: Array) -> tuple[Array, Array]:
+    """Each arm's slope (2, 4) and its Hessian (2, 4, 4): arms do not depend on one another."""
+    H = jax.jacfwd(slope)(still)
+    return slope(still), jnp.stack([H[arm, :, arm] for arm in range(len(still))])
+
+
+def _arm_costs(
+    model: Model, settings: Settings, fields: EdgeFields, grip_targets: Array, elbows: Array
+) -> tuple[ArmCost, ...]:
+    """The terms of equation (14), and the searched elbow; fields with the arms' axis first."""
+    own, limits = settings.simplex, model.skeleton.limits[arm_dofs(model.skeleton.tree)]
+    of_arm = partial(settings.edges.arm_cost, model.cameras)
+
+    def on_edges(arms: Arms, _: Array) -> Array:
+        return jax.vmap(of_arm)(fields, flesh(arms))
+
+    def held(arms: Arms, _: Array) -> Array:
+        away = off_targets(arms.grip, grip_targets)
+        return own.hold * jnp.sqrt(jnp.sum(away**2, -1) + 1e-12)
+
+    def within_limits(_: Arms, angles: Array) -> Array:
+        return own.limit * jnp.sum(beyond_limits(limits, angles), -1)
+
+    def near_searched(arms: Arms, _: Array) -> Array:
+        return jnp.sum((arms.elbow - elbows) ** 2, -1) / own.elbow**2 / 2
+
+    costs = (on_edges, held, within_limits)
+    return (*costs, near_searched) if settings.search else costs
