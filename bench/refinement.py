@@ -44,7 +44,6 @@ from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.solvers.status import Status
 
 GRADIENTS = {
-    "Newton": "newton",
     "Levenberg-Marquardt": "levenberg-marquardt",
     "Gauss-Newton": "gauss-newton",
     "BFGS": "bfgs",
@@ -53,7 +52,7 @@ RIVALS = ("simplex", *GRADIENTS)
 # Enough for every rival to come to rest; and what its pace is taken from.
 PLENTY, FEW = {"simplex": 400, "BFGS": 300}, (2, 8)
 # Quasi-Newton steps are short at first: what is rest to the others is only a slow start to it.
-RESTING = {"Newton": 1e-2, "Levenberg-Marquardt": 1e-2, "Gauss-Newton": 1e-2, "BFGS": 1e-4}
+RESTING = {"Levenberg-Marquardt": 1e-2, "Gauss-Newton": 1e-2, "BFGS": 1e-4}
 REPEATS = 3
 # Where a recording names its elbows as Pose2Sim does, or as we do.
 NAMES = (("LElbow", "RElbow"), ("elbow_l", "elbow_r"))

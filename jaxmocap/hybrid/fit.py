@@ -20,13 +20,13 @@ from jaxmocap.body.pose import Pose, beyond_limits, retract
 from jaxmocap.evidence.edges import EdgeFields, WeightedEdges
 from jaxmocap.evidence.markers import Goals, off_targets
 from jaxmocap.evidence.terms import residuals
-from jaxmocap.hybrid.minimum import at_minimum, pose_at_minimum
+from jaxmocap.hybrid.minimum import at_minimum
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.solvers.optimum import curved_step
 from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
 from jaxmocap.solvers.status import Status
 
-# A degree of freedom that is held may move by this share of its prior, where optimistix descends.
+# A degree of freedom that is held may move by this share of its prior.
 HELD = 1e-3
 
 
@@ -52,15 +52,19 @@ def no_status() -> Array:
 
 
 def refine_body(
-    model: Model, settings: Settings, edges: WeightedEdges, start: Pose, aims: Aims
+    model: Model,
+    settings: Settings,
+    edges: WeightedEdges,
+    start: Pose,
+    aims: Aims,
+    exact: bool = False,
 ) -> tuple[Pose, Array]:
-    """The whole body at the minimum of ``settings.gradient_terms``, and a ``Status``.
-
-    The start itself where no camera has an image: between two of them there is nothing to fit.
+    """The whole body where ``settings.gradient_terms`` cost least, and a ``Status``.
 
     Both arms together, and with them the trunk that carries the shoulders: three markers leave that
     uncertain too. Half the squared sum of the residuals means what the simplex's cost means, in
-    nats. The pose is differentiable by all but its start.
+    nats. The start itself where no camera has an image: between two of them there is nothing to
+    fit.
 
     Args:
         model: of the person, the markers and the cameras.
@@ -68,40 +72,49 @@ def refine_body(
         edges: of both arms, and how much each point of an outline counts.
         start: a pose.
         aims: what else is to be met.
+        exact: go on from where the descent rests to the minimum itself, whose derivatives the pose
+            then has.
     """
     return jax.lax.cond(
         jnp.any(jnp.asarray(edges.fields.available)),
-        partial(_body_at_minimum, model, settings, edges, start, aims),
+        partial(_descended, model, settings, edges, start, aims, exact),
         lambda: (start, no_status()),
     )
 
 
-def _body_at_minimum(
-    model: Model, settings: Settings, edges: WeightedEdges, start: Pose, aims: Aims
+def _descended(
+    model: Model,
+    settings: Settings,
+    edges: WeightedEdges,
+    start: Pose,
+    aims: Aims,
+    exact: bool,
 ) -> tuple[Pose, Array]:
-    own, terms = settings.gradient, settings.gradient_terms
+    # Here, since optimistix takes half a second to import, which the simplex does not need.
+    from jaxmocap.solvers.least_squares import least_squares
+
+    own, terms, (low, high) = settings.gradient, settings.gradient_terms, model.skeleton.limits.T
     measured = {"edges": edges, "goals": aims.goals, "centre": aims.centre}
     if settings.search:
         measured["elbows"] = aims.elbows
-    if own.method == "newton":
-        return pose_at_minimum(model, terms, measured, start, free=aims.free, steps=own.steps)
-    # Here, since optimistix takes half a second to import.
-    from jaxmocap.solvers.least_squares import least_squares
-
+    held, about, given, origin = jax.lax.stop_gradient((model, terms, measured, start))
     scale = own.near.deviations(model.skeleton)
     if aims.free is not None:
         scale = scale * jnp.where(aims.free, 1.0, HELD)
+    scale = jax.lax.stop_gradient(scale)
 
     def whitened(point: Array, _: None) -> Array:
-        return residuals(terms, model, retract(start, scale * point), measured)
+        return residuals(about, held, retract(origin, scale * point), given)
 
     found = least_squares(
         whitened, jnp.zeros_like(scale), method=own.method, largest_steps=own.steps,
         relative=own.tolerance, absolute=own.tolerance,
     )  # fmt: skip
-    pose, (low, high) = retract(start, scale * found.point), model.skeleton.limits.T
+    pose = retract(origin, scale * found.point)
     pose = pose._replace(angles=jnp.clip(pose.angles, low, high))
-    return at_minimum(model, terms, measured, pose, aims.free), found.status
+    if exact:
+        pose = at_minimum(model, terms, measured, pose, aims.free)
+    return pose, found.status
 
 
 # Costs (2) of both arms, from arms and their (2, 4) joint angles.

@@ -230,7 +230,7 @@ def _refined(model: Model, settings: Settings, pose: Pose, observed: Observation
         refined = _going_along(pose, followed)
     elif settings.refine == "gradient":
         aims = Aims(_own_goals(model, settings, pose), observed.elbows, pose, None)
-        refined, _ = refine_body(model, settings, observed.edges, followed, aims)
+        refined, _ = refine_body(model, settings, observed.edges, followed, aims, exact=True)
     else:
         refined = _by_simplex(model, settings, pose, observed, followed)
     has_image = jnp.any(jnp.asarray(observed.edges.fields.available))

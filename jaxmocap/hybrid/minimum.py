@@ -78,14 +78,15 @@ def pose_at_minimum(
     evidence = _Evidence(model, tuple(terms), measured, free)
     held = jax.lax.stop_gradient((evidence, start, other))
     pose, status = jax.lax.stop_gradient(_lowest(*held, steps, is_near))
-    return _following(evidence, pose), status
+    return _following(False, evidence, pose), status
 
 
 def at_minimum(
     model: Model, terms: Sequence[Term], measured: Measurements, pose: Pose, free: Array | None
 ) -> Pose:
-    """A pose that another descent found, with the minimum's derivatives; see above."""
-    return _following(_Evidence(model, tuple(terms), measured, free), jax.lax.stop_gradient(pose))
+    """The minimum beside where another descent ended, with its derivatives; see above."""
+    evidence = _Evidence(model, tuple(terms), measured, free)
+    return _following(True, evidence, jax.lax.stop_gradient(pose))
 
 
 class _Evidence(NamedTuple):
@@ -176,16 +177,17 @@ class _About(NamedTuple):
         return jax.lax.fori_loop(0, ROUNDS, limited, (jnp.zeros_like(low), self.moves))[0]
 
 
-@jax.custom_jvp
-def _following(evidence: _Evidence, pose: Pose) -> Pose:
-    """The pose, with the derivatives of the minimum that it is at."""
-    return pose
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _following(exact: bool, evidence: _Evidence, pose: Pose) -> Pose:
+    """The pose, or exactly the minimum beside it, with the minimum's derivatives."""
+    return _polished(evidence, pose)[0] if exact else pose
 
 
 @_following.defjvp
-def _following_jvp(primals: tuple, tangents: tuple) -> tuple[Pose, Pose]:
+def _following_jvp(exact: bool, primals: tuple, tangents: tuple) -> tuple[Pose, Pose]:
     evidence, pose = primals
     there, about = _polished(evidence, pose)
+    pose = there if exact else pose
     still = jnp.zeros(about.moves.shape, about.residuals.dtype)
 
     def changed(evidence: _Evidence) -> tuple[Array, Array, Pose]:

@@ -127,14 +127,14 @@ class SimplexSettings:
 class GradientSettings:
     """What a user may tune of the gradient refinement; each ``Term`` among it takes part."""
 
-    method: Literal["newton", "levenberg-marquardt", "gauss-newton", "bfgs"] = static(
-        "newton", "of descent: our damped Newton method, or one of optimistix'"
+    method: Literal["levenberg-marquardt", "gauss-newton", "bfgs"] = static(
+        "levenberg-marquardt", "of descent"
     )
-    steps: int = static(100, "most of them")
+    steps: int = static(40, "most of them")
     tolerance: float = static(
         1e-2,
-        "optimistix is at rest where nothing moves by more than this share of its prior's "
-        "deviation; BFGS, whose first steps are short, needs a smaller one",
+        "at rest where nothing moves by more than this share of its prior's deviation; BFGS, whose "
+        "first steps are short, needs a smaller one",
     )
     goals: PointGoals = group(PointGoals, "of markers and unmarked feet")
     elbows: SearchedElbows = group(SearchedElbows, "of the searched elbows")

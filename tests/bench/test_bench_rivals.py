@@ -12,6 +12,7 @@ from bench.rival_bodies import PinocchioBody
 from bench.rival_kinematics import sine_cosine
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
+from jaxmocap.hybrid.settings import IKSettings
 
 STEPS = 12
 needs = {
@@ -54,7 +55,7 @@ def test_targets_move_and_can_all_be_reached(skeleton):
 
 
 WAYS = {
-    "ours": lambda *given: rival_ik.ours(*given),
+    "ours": lambda *given: rival_ik.ours(*given, IKSettings()),
     "MuJoCo and NumPy": lambda *given: rival_ik.damped_steps(*given),
     "SciPy": lambda *given: rival_ik.by_scipy(*given, limits=False),
     "SciPy, limits": lambda *given: rival_ik.by_scipy(*given, limits=True),

@@ -344,7 +344,7 @@ def test_the_share_done_grows_to_one(smoothed_run):
 def test_steps_have_deviations_of_the_elbows_only():
     spread, nothing = np.array([[0.01, 0.02], [0.05, 0.4]]), np.zeros((2, 2))
     still = Pose(*(part[0] for part in true_poses()))
-    reports = StepReport(still, np.zeros((2, 3)), nothing, nothing, spread, *[nothing] * 5)
+    reports = StepReport(still, np.zeros((2, 3)), nothing, nothing, spread, *[nothing] * 4)
     first = first_pass(build_timeline(TIMES[:2], []), markers_world()[:2], still, still)
     actual = unsmoothed(first._replace(reports=reports))
     assert actual.deviations is not None and actual.from_prior is not None

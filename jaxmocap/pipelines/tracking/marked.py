@@ -120,7 +120,7 @@ def _spread(markers: np.ndarray) -> np.ndarray:
 def _far(tracker: HybridTracker, markers: np.ndarray) -> PosesFit:
     """Poses (K, ...) of markers (K, M, 3), from the relaxed one placed by them."""
     model = tracker.model
-    placed = [PLACE(model, tracker.settings, each).pose for each in markers]
+    placed = [PLACE(model, tracker.settings.ik, each)[0] for each in markers]
     start = jax.tree.map(lambda *each: np.stack(each), *placed)
     near = FIT_POSES(model, start, markers, _tails(model, FAR_TAILS))
     return FIT_POSES(model, near.poses, markers, _tails(model, TAILS))
@@ -169,7 +169,7 @@ def _first_pass(events: RecordingEvents, tracker: HybridTracker, poses: Pose) ->
     none, unknown = np.zeros(count, bool), np.full((count, 2), np.nan, dtype)
     each: tuple[Any, ...] = (
         poses, errors, unknown, np.zeros((count, 2), dtype), unknown,
-        np.zeros(count, np.int32), none, none, none, np.zeros(count, np.int32),
+        none, none, none, np.zeros(count, np.int32),
     )  # fmt: skip
     reports = StepReport(*each)
     about: list[list[str]] = [[] for _ in range(count)]
