@@ -61,21 +61,27 @@ def least_squares(
             than this share of their largest entry, and
         absolute: this.
     """
+    # Its own numbers are of JAX's present precision, whatever the start's.
+    wide, own = jnp.result_type(float), start.dtype
+
+    def widened(point: Array, args: Any) -> Array:
+        return residuals(point.astype(own), args).astype(wide)
+
     solution = optimistix.least_squares(
-        residuals,
+        widened,
         _solver(method, relative, absolute),
-        jax.lax.stop_gradient(start),
+        jax.lax.stop_gradient(start).astype(wide),
         args,
         max_steps=largest_steps,
         throw=False,
     )
-    final = residuals(solution.value, args)
-    cost = jnp.sum(final**2) / 2
-    sound = jnp.isfinite(cost) & jnp.all(jnp.isfinite(solution.value))
+    point = solution.value.astype(own)
+    cost = jnp.sum(residuals(point, args) ** 2) / 2
+    sound = jnp.isfinite(cost) & jnp.all(jnp.isfinite(point))
     converged = solution.result == optimistix.RESULTS.successful
     ended = jnp.where(converged, int(Status.CONVERGED), int(Status.OUT_OF_STEPS))
     return LeastSquaresResult(
-        jnp.where(sound, solution.value, start),
+        jnp.where(sound, point, start),
         cost,
         jnp.asarray(solution.stats["num_steps"], jnp.int32),
         jnp.where(sound, ended, int(Status.BROKEN)).astype(jnp.int32),
