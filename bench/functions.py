@@ -68,12 +68,12 @@ def works(folder: Path) -> dict[str, Work]:
     for own in markers:
         poses.append(posed(model, alone, own, poses[-1] if poses else None))
     each = {way: Settings(refine=way) for way in ("gradient", "simplex")}
-    seen = [
+    found = [
         jaxmocap.observe(model, each["gradient"], pose, image)
         for pose, (_, image) in zip(poses, frames, strict=False)
     ]
     stacked = lambda parts: jax.tree.map(lambda *p: np.stack(p), *parts)  # noqa: E731
-    observations, last = stacked(seen), stacked([poses[0], *poses[:-1]])
+    observations, last = stacked(found), stacked([poses[0], *poses[:-1]])
 
     def cold(model: Any, settings: Any, own: Array) -> Array:
         return jaxmocap.landmarks(model, jaxmocap.solve(model, settings, own))

@@ -91,7 +91,7 @@ def effort_shares(
     """Shares (D,) of joints of the effort m_i h_i of (9)."""
     bodies = augmented_bodies(skeleton, frames, augmented_body == "proximal")
     effort = bodies.masses * bodies.arms
-    return effort / jnp.sum(effort) + LEAST_SHARE
+    return effort / jnp.sum(effort)
 
 
 @settings
@@ -158,7 +158,8 @@ class EasyPosture(Term):
 
     def _easing(self, model: Model, last: LastPose) -> Array:
         """(D,) by which an angle off the relaxed one counts."""
-        return model.skeleton.costs[ROOT_DOF:] * jnp.sqrt(2 * self.relaxation * last.effort)
+        shares = last.effort + LEAST_SHARE
+        return model.skeleton.costs[ROOT_DOF:] * jnp.sqrt(2 * self.relaxation * shares)
 
 
 def _turn(pose: Pose, origin: Pose) -> Array:

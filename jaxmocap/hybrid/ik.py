@@ -66,8 +66,8 @@ def solve_ik(
     """
     before = goal_distances(model.skeleton, goals_of(model, settings, feet, targets), pose)
     missed = jnp.max(before[: len(targets)], initial=0.0)
-    known = jnp.all(jnp.isfinite(pose.position))
-    lost, far = (~known | (missed > limit) for limit in (settings.lost, FAR_OFF))
+    is_first = ~jnp.all(jnp.isfinite(pose.position))
+    lost, far = (is_first | (missed > limit) for limit in (settings.lost, FAR_OFF))
     placed, placed_feet = jax.lax.cond(
         far, lambda: place(model, settings, targets), lambda: (pose, feet)
     )

@@ -23,8 +23,8 @@ from jax import Array
 
 from jaxmocap.solvers.sdls import HIGHEST
 
-# Damping, as shares of the Hessian's diagonal, down to the precision: where nothing is known of the
-# start, where the start is near, at most; and its factors after a step that lowered the cost, and
+# Damping, as shares of the Hessian's diagonal, down to the precision: from any start,
+# where the start is near, at most; and its factors after a step that lowered the cost, and
 # after another.
 FIRST_DAMPING, NEAR_DAMPING, LARGEST_DAMPING = 0.1, 1e-3, 1e6
 LOWERED, NOT_LOWERED = 0.3, 20.0

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxmocap.body.kinematics import Frames, forward
-from jaxmocap.body.mass import augmented_bodies
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.evidence.posture import effort_shares
 from jaxmocap.evidence.terms import Measurements, Term, linearised_term
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
 from jaxmocap.hybrid.settings import IKSettings
@@ -57,9 +57,7 @@ def secondary_task(skeleton: Skeleton, frames: Frames, pose: Pose, settings: IKS
     m_i h_i is normalised by its sum, so that the gain is below 1 in any units. The root has no
     relaxed angle; its lean from the vertical is turned back.
     """
-    bodies = augmented_bodies(skeleton, frames, settings.augmented_body == "proximal")
-    effort = bodies.masses * bodies.arms
-    share = effort / jnp.sum(effort)
+    share = effort_shares(skeleton, frames, settings.augmented_body)
     relaxing = -2 * settings.relaxation * share * (pose.angles - skeleton.relaxed)
     up = quaternion_to_matrix(pose.quaternion)[:, 2]
     lean = jnp.cross(up, jnp.array([0.0, 0.0, 1.0], up.dtype))
