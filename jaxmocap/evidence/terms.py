@@ -9,30 +9,26 @@ INPUTS: terms, a Model, a pose, what was measured. OUTPUTS: whitened residuals, 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.custom_derivatives import SymbolicZero
 
 from jaxmocap.body.kinematics import (
     Frames,
     Sites,
-    forward,
-    jacobian,
     joined_sites,
     landmark_sites,
-    site_positions,
+    points_on,
 )
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.proportions import scaled
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.geometry.rotations import HIGHEST, quaternion_multiply, quaternion_to_matrix
+from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
 
 # Name of a measurement -> arrays; what a term does not find there it has no residuals of.
 Measurements = Mapping[str, Any]
@@ -119,7 +115,7 @@ class Linear(NamedTuple):
 
 def residuals(terms: Sequence[Term], model: Model, pose: Pose, measured: Measurements) -> Array:
     """All whitened residuals (R,) of a pose."""
-    return _joined(terms, model, posed_body(model, pose), measured)
+    return joined_residuals(terms, model, posed_body(model, pose), measured)
 
 
 def linearised(
@@ -142,7 +138,7 @@ def linearised(
 
     def outputs(person: Model, there: Pose) -> tuple[Array, Array]:
         body = posed_body(person, there)
-        return _joined(terms, person, body, measured), body.landmarks.ravel()
+        return joined_residuals(terms, person, body, measured), body.landmarks.ravel()
 
     still = jnp.zeros(ROOT_DOF + pose.angles.size, pose.angles.dtype)
     person = resized(proportions)
@@ -181,126 +177,26 @@ def linearised_term(
     return r, jax.vmap(push, -1, -1)(jnp.eye(still.size, dtype=still.dtype))
 
 
-def second_order(
-    terms: Sequence[Term], model: Model, pose: Pose, measured: Measurements
-) -> tuple[Array, Array, Array]:
-    """All residuals (R,), Jacobian (R, N) and sum of second derivatives times residuals (N, N).
-
-    Args:
-        terms: of the evidence.
-        model: of the person, the markers and the cameras.
-        pose: of the person; N = 6 + D.
-        measured: of this moment.
-    """
-    body, N = posed_body(model, pose), ROOT_DOF + pose.angles.size
-    body = body._replace(frames=forward(model.skeleton, pose))
-    still, each = jnp.zeros(N, pose.angles.dtype), []
-    bending = jnp.zeros((N, N), still.dtype)
-    for term in terms:
-        r, J = term.residual(model, body, measured), term.jacobian(model, body, measured)
-        S = None if J is None else term.curvature(model, body, measured, r)
-        if J is None or S is None:
-            each.append((r.ravel(), None))
-        else:
-            each.append((r.ravel(), J.reshape(-1, N)))
-            bending = bending + S
-    others = [term for term, (_, J) in zip(terms, each, strict=True) if J is None]
-    if others:
-        # Those without formulas at one go, and then back in the terms' order.
-        def moved(step: Array) -> Array:
-            return residuals(others, model, retract(pose, step), measured)
-
-        r, push = jax.linearize(moved, still)
-        rows = jax.vmap(push, -1, -1)(jnp.eye(N, dtype=still.dtype))
-        ends = np.cumsum([r.size for r, J in each if J is None])[:-1]
-        left = iter(jnp.split(rows, ends))
-        each = [(r, next(left) if J is None else J) for r, J in each]
-        S = jax.jacfwd(partial(pull, others, model, pose, measured, r))(still)
-        bending = bending + (S + S.T) / 2
-    r, J = (jnp.concatenate(parts) for parts in zip(*each, strict=True))
-    return r, J, bending
-
-
-def pull(
-    terms: Sequence[Term],
-    model: Model,
-    pose: Pose,
-    measured: Measurements,
-    weights: Array,
-    step: Array,
-) -> Array:
-    """Derivative (6 + D,) of residuals times weights (R,), where a step from a pose leads."""
-    there = retract(pose, step)
-
-    def weighed(further: Array) -> Array:
-        return jnp.vdot(residuals(terms, model, retract(there, further), measured), weights)
-
-    return jax.grad(weighed)(jnp.zeros_like(step))
-
-
 def posed_body(model: Model, pose: Pose) -> PosedBody:
     """The body as a pose puts it; its derivative by the pose is the geometric Jacobian."""
     skeleton, markers = model.skeleton, len(model.markers.bone_indices)
-    every = np.arange(len(skeleton.tree.bones))
-    centres = Sites(every, skeleton.centres, jnp.zeros((len(every), 3), skeleton.centres.dtype))
-    sites = joined_sites(joined_sites(model.markers, landmark_sites(skeleton)), centres)
-    points = points_on(skeleton, pose, sites)
+    points = points_on(skeleton, pose, body_sites(model))
     on_markers, landmarks, in_bones = jnp.split(points, [markers, markers + len(LANDMARKS)])
     shares = skeleton.masses / jnp.sum(skeleton.masses)
     gravity = jnp.matmul(shares, in_bones, precision=HIGHEST)
     return PosedBody(on_markers, landmarks, quaternion_to_matrix(pose.quaternion), gravity, pose)
 
 
-@jax.custom_jvp
-def points_on(skeleton: Skeleton, pose: Pose, sites: Sites) -> Array:
-    """Points (M, 3) on bones in the world, metres, with the geometric Jacobian as derivative.
-
-    The same as pushing tangents along the tree, at a fifth of the time.
-    """
-    return site_positions(skeleton, forward(skeleton, pose), sites)
-
-
-def _points_on_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    skeleton, pose, sites = primals
-    frames = forward(skeleton, pose)
-    points = site_positions(skeleton, frames, sites)
-    change = jnp.zeros_like(points)
-    if not _is_zero(tangents[1]):
-        shift, spin, turns = _filled(tangents[1])
-        back = pose.quaternion * jnp.array([1.0, -1.0, -1.0, -1.0], spin.dtype)
-        step = jnp.concatenate([shift, 2 * quaternion_multiply(spin, back)[1:], turns])
-        J = jacobian(skeleton, frames, sites.bones, points)
-        change = jnp.einsum("mij,j->mi", J, step, precision=HIGHEST)
-    # Bodies and markers have tangents only where somebody differentiates a solution by them.
-    others = (tangents[0], tangents[2])
-    if not _is_zero(others):
-
-        def along_the_tree(skeleton: Skeleton, sites: Sites) -> Array:
-            return site_positions(skeleton, forward(skeleton, pose), sites)
-
-        change = change + jax.jvp(along_the_tree, (skeleton, sites), _filled(others))[1]
-    return points, change
+def body_sites(model: Model) -> Sites:
+    """Points that terms see: markers, landmarks, the bones' centres of gravity."""
+    skeleton = model.skeleton
+    every = np.arange(len(skeleton.tree.bones))
+    centres = Sites(every, skeleton.centres, jnp.zeros((len(every), 3), skeleton.centres.dtype))
+    return joined_sites(joined_sites(model.markers, landmark_sites(skeleton)), centres)
 
 
-points_on.defjvp(_points_on_jvp, symbolic_zeros=True)
-
-
-def _symbolic(leaf: Any) -> bool:
-    return isinstance(leaf, SymbolicZero)
-
-
-def _is_zero(tangents: Any) -> bool:
-    return all(map(_symbolic, jax.tree.leaves(tangents, is_leaf=_symbolic)))
-
-
-def _filled(tangents: Any) -> Any:
-    """Tangents with symbolic zeros as arrays."""
-
-    def fill(leaf: Any) -> Array:
-        return jnp.zeros(leaf.shape, leaf.dtype) if _symbolic(leaf) else leaf
-
-    return jax.tree.map(fill, tangents, is_leaf=_symbolic)
-
-
-def _joined(terms: Sequence[Term], model: Model, body: PosedBody, measured: Measurements) -> Array:
+def joined_residuals(
+    terms: Sequence[Term], model: Model, body: PosedBody, measured: Measurements
+) -> Array:
+    """All whitened residuals (R,) of a posed body."""
     return jnp.concatenate([term.residual(model, body, measured).ravel() for term in terms])

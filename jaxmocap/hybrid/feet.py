@@ -79,16 +79,24 @@ def stand_below(skeleton: Skeleton, settings: IKSettings, above: Array, left: Ar
     return jnp.stack([ground + hip * level, ground - hip * level])
 
 
-def place(model: Model, settings: IKSettings, targets: Array) -> tuple[Pose, FootPlacement]:
+def place(
+    model: Model, settings: IKSettings, targets: Array, frames: Frames | None = None
+) -> tuple[Pose, FootPlacement]:
     """The relaxed pose, placed by the markers in closed form.
 
     The body is shifted and turned about the vertical so that its effectors lie nearest to the
     markers in the least-squares sense (a planar Procrustes problem); of the two answers that a
     symmetric marker set may leave, rounding decides nothing: left and right are labelled. Without
     two markers apart from each other horizontally the heading stays +x.
+
+    Args:
+        model: of the person and the markers.
+        settings: traced.
+        targets: (M, 3) markers, world, metres.
+        frames: of the bones in the relaxed pose; found without them.
     """
     skeleton, pose, mask = model.skeleton, relaxed_pose(model.skeleton), are_present(targets)
-    frames = forward(skeleton, pose)
+    frames = frames or forward(skeleton, pose)
     points = site_positions(skeleton, frames, model.markers)
     weight = mask.astype(points.dtype)[:, None] / jnp.maximum(jnp.sum(mask), 1).astype(points.dtype)
     present = jnp.where(mask[:, None], targets, 0.0)

@@ -22,7 +22,7 @@ from jaxmocap.evidence.markers import Goals, off_targets
 from jaxmocap.evidence.terms import residuals
 from jaxmocap.hybrid.minimum import at_minimum
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.solvers.optimum import curved_step
+from jaxmocap.solvers.optimum import curved_step, following
 from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
 from jaxmocap.solvers.status import Status
 
@@ -178,6 +178,12 @@ def arms_at_minimum(
 
     The pose is as it was given; the arguments are those of ``refine_arms``.
     """
+    return following(_arms_moved, (model, settings, fields, grip_targets, elbows), pose)
+
+
+def _arms_moved(given: tuple, pose: Pose) -> Pose:
+    """Where arms at their minimum go as what is given changes."""
+    model, settings, fields, grip_targets, elbows = given
     costs = _arm_costs(model, settings, fields.by_arm(), grip_targets, elbows)
     hung, dofs = hang(model.skeleton, pose, model.grips), arm_dofs(model.skeleton.tree)
 

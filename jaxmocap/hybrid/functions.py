@@ -109,11 +109,11 @@ def solve(
 
 @program("quick")
 def _solved(model: Model, settings: Settings, markers: Array, start: Pose | None) -> Pose:
-    before = nowhere(model) if start is None else (start, _standing(model, start))
+    before = nowhere(model) if start is None else (start, standing(model, start))
     return solve_ik(model, settings.ik, *before, markers).pose
 
 
-def _standing(model: Model, pose: Pose) -> FootPlacement:
+def standing(model: Model, pose: Pose) -> FootPlacement:
     """The feet as a pose has them."""
     ankles = landmark_sites(model.skeleton, ("ankle_l", "ankle_r"))
     points = site_positions(model.skeleton, forward(model.skeleton, pose), ankles)
@@ -304,7 +304,7 @@ def _checked_observation(model: Model, settings: Settings, observation: Any) -> 
 def _own_goals(model: Model, settings: Settings, pose: Pose) -> Goals:
     """The pose's own points of markers and unmarked feet, to be held."""
     points = site_positions(model.skeleton, forward(model.skeleton, pose), model.markers)
-    return goals_of(model, settings.ik, _standing(model, pose), points)
+    return goals_of(model, settings.ik, standing(model, pose), points)
 
 
 def _arms(model: Model, pose: Pose) -> Arms:

@@ -7,16 +7,17 @@ INPUTS: a Model, marker targets (world, metres; NaN where missing), the last pos
 stood. OUTPUTS: the pose that meets the markers, where the feet stand.
 """
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.kinematics import Frames, forward, site_positions
 from jaxmocap.body.model import SIDES, Model
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.markers import Goals, are_present
 from jaxmocap.evidence.posture import EasyPosture, LastPose, effort_shares
@@ -64,24 +65,33 @@ def solve_ik(
         feet: where they stood then.
         targets: (M, 3) markers, world, metres; NaN where missing.
     """
-    before = goal_distances(model.skeleton, goals_of(model, settings, feet, targets), pose)
-    missed = jnp.max(before[: len(targets)], initial=0.0)
+    skeleton = model.skeleton
     is_first = ~jnp.all(jnp.isfinite(pose.position))
+    relaxed = relaxed_pose(skeleton)
+    pose = _where(is_first, relaxed, pose)
+    # Both at once, so that kinematics compile once.
+    both = jax.tree.map(lambda *parts: jnp.stack(parts), pose, relaxed)
+    both = jax.vmap(partial(forward, skeleton))(both)
+    last, at_ease = (jax.tree.map(lambda part, i=i: part[i], both) for i in range(2))
+    before = goal_distances(skeleton, goals_of(model, settings, feet, targets), last)
+    missed = jnp.max(before[: len(targets)], initial=0.0)
     lost, far = (is_first | (missed > limit) for limit in (settings.lost, FAR_OFF))
-    placed, placed_feet = jax.lax.cond(
-        far, lambda: place(model, settings, targets), lambda: (pose, feet)
-    )
-    pose, feet = jax.tree.map(
-        lambda new, old: jnp.where(lost, new, old), (placed, placed_feet), (pose, feet)
-    )
+    placed, placed_feet = place(model, settings, targets, at_ease)
+    pose, feet = _where(lost, (placed, placed_feet), (pose, feet))
     feet, planted = replant(model, settings, pose, feet, targets)
     goals = goals_of(model, settings, feet, targets)
     # A last pose that is far off may lie in a valley of its own.
     other = Another(placed, jnp.where(far & ~lost, WELL_MET, jnp.inf))
-    pose = reach(model, settings, {"goals": goals}, pose, remembered=~lost, other=other)
-    misses = goal_distances(model.skeleton, goals, pose)
+    # Placing a body turns it about the vertical only, which no effort knows of.
+    frames, measured = _where(lost, at_ease, last), {"goals": goals}
+    pose = reach(model, settings, measured, pose, remembered=~lost, other=other, frames=frames)
+    misses = goal_distances(skeleton, goals, forward(skeleton, pose))
     stretched = jnp.max(misses[len(targets) :], initial=0.0) > settings.leg_overstretch
     return IKResult(pose, feet._replace(overstretched=stretched), misses, planted, lost)
+
+
+def _where(condition: Array, one: Any, other: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
 
 
 def reach(
@@ -92,6 +102,7 @@ def reach(
     free: Array | None = None,
     remembered: Array | bool = True,
     other: Another | None = None,
+    frames: Frames | None = None,
 ) -> Pose:
     """The pose that meets its goals, near another one; differentiable where it is a minimum.
 
@@ -103,11 +114,13 @@ def reach(
         free: (6 + D,) degrees of freedom that may move; all without it.
         remembered: whether what nothing determines stays near the start.
         other: another start.
+        frames: of the bones at ``pose``, or with another heading; found without them.
     """
     if settings.solver == "sdls":
         return paper_ik.reach(model, settings, measured, pose, free)[0]
     skeleton = model.skeleton
-    effort = effort_shares(skeleton, forward(skeleton, pose), settings.augmented_body)
+    frames = frames or forward(skeleton, pose)
+    effort = effort_shares(skeleton, frames, settings.augmented_body)
     ease = EasyPosture(settings.relaxation, settings.uprightness, settings.memory)
     terms = (*settings.terms, in_precision(model, ease))
     if "elbows" in measured:
@@ -116,9 +129,9 @@ def reach(
     return pose_at_minimum(model, terms, about, pose, other, free, is_near=remembered)[0]
 
 
-def goal_distances(skeleton: Skeleton, goals: Goals, pose: Pose) -> Array:
-    """Distances (M,) of a pose from its goals, metres; 0 for those of no weight."""
-    away = goals.off(site_positions(skeleton, forward(skeleton, pose), goals.sites))
+def goal_distances(skeleton: Skeleton, goals: Goals, frames: Frames) -> Array:
+    """Distances (M,) of a pose's bones from goals, metres; 0 for those of no weight."""
+    away = goals.off(site_positions(skeleton, frames, goals.sites))
     squared = jnp.sum(away**2, -1)
     apart = squared > 0
     return jnp.where(apart, jnp.sqrt(jnp.where(apart, squared, 1.0)), 0.0)

@@ -14,26 +14,28 @@ from jax import Array
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.evidence.terms import Measurements, Term, pull, residuals, second_order
+from jaxmocap.evidence.expansion import expanded, residuals_and_pull
+from jaxmocap.evidence.terms import Measurements, Term, residuals
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.solvers.limits import room
-from jaxmocap.solvers.optimum import (
+from jaxmocap.solvers.descent import (
     FIRST_DAMPING,
     NEAR_DAMPING,
     Descent,
     Local,
     Problem,
     descend,
-    least_squares_step,
     rests,
 )
+from jaxmocap.solvers.limits import room
+from jaxmocap.solvers.optimum import following, least_squares_step
 from jaxmocap.solvers.status import Status
 
 # Steps of the descent, at most.
 STEPS = 100
-# Newton steps before a derivative, by a factorisation that single precision holds.
-POLISHING = 4
-# Times that one of them is made, as limits are met.
+# Points at which Newton's step is taken before a derivative, by a factorisation that single
+# precision holds.
+POLISHING = 5
+# Times that one of them is made at most, as limits are met.
 ROUNDS = 3
 
 
@@ -78,15 +80,19 @@ def pose_at_minimum(
     evidence = _Evidence(model, tuple(terms), measured, free)
     held = jax.lax.stop_gradient((evidence, start, other))
     pose, status = jax.lax.stop_gradient(_lowest(*held, steps, is_near))
-    return _following(False, evidence, pose), status
+    return following(_moved, evidence, pose), status
 
 
 def at_minimum(
     model: Model, terms: Sequence[Term], measured: Measurements, pose: Pose, free: Array | None
 ) -> Pose:
-    """The minimum beside where another descent ended, with its derivatives; see above."""
+    """The minimum beside where another descent ended, with its derivatives; see above.
+
+    It takes no second derivatives but for its own derivatives: most terms have no formula for them.
+    """
     evidence = _Evidence(model, tuple(terms), measured, free)
-    return _following(True, evidence, jax.lax.stop_gradient(pose))
+    held = jax.lax.stop_gradient((evidence, pose))
+    return following(_moved, evidence, descend(_LINEAR, *held, STEPS, NEAR_DAMPING).x)
 
 
 class _Evidence(NamedTuple):
@@ -98,25 +104,47 @@ class _Evidence(NamedTuple):
     free: Array | None
 
 
+def _residuals(evidence: _Evidence, pose: Pose) -> Array:
+    model, terms, measured, _ = evidence
+    return residuals(terms, model, pose, measured)
+
+
+def _local(evidence: _Evidence, pose: Pose) -> Local:
+    model, terms, measured, _ = evidence
+    return Local(*expanded(terms, model, pose, measured))
+
+
+def _room(evidence: _Evidence, pose: Pose) -> tuple[Array, Array]:
+    """How far (6 + D,) each degree of freedom may go down and up."""
+    low, high = room(evidence.model.skeleton.limits, pose.angles)
+    endless = jnp.full(ROOT_DOF, jnp.inf, low.dtype)
+    low, high = jnp.concatenate([-endless, low]), jnp.concatenate([endless, high])
+    free = True if evidence.free is None else evidence.free
+    return jnp.where(free, low, 0.0), jnp.where(free, high, 0.0)
+
+
+def _straight(evidence: _Evidence, pose: Pose) -> Local:
+    model, terms, measured, _ = evidence
+    return Local(*expanded(terms, model, pose, measured, bends=False))
+
+
+_PROBLEM = Problem(_residuals, _local, retract, _room)
+_LINEAR = _PROBLEM._replace(about=_straight)
+
+
 def _lowest(
     evidence: _Evidence, start: Pose, other: Another | None, steps: int, is_near: Array | bool
 ) -> tuple[Pose, Array]:
     """The end of the descents, nothing differentiated."""
-    model, terms, measured, _ = evidence
-    low, high = model.skeleton.limits.T
-    problem = Problem(
-        lambda pose: residuals(terms, model, pose, measured),
-        lambda pose: Local(*second_order(terms, model, pose, measured)),
-        retract,
-        partial(_room, evidence),
-    )
+    low, high = evidence.model.skeleton.limits.T
+    damping = jnp.where(is_near, NEAR_DAMPING, FIRST_DAMPING)
 
-    def descended(start: Pose) -> Descent:
+    def descended(start: Pose, steps: Array | int) -> Descent:
         within = start._replace(angles=jnp.clip(start.angles, low, high))
-        return descend(problem, within, steps, jnp.where(is_near, NEAR_DAMPING, FIRST_DAMPING))
+        return descend(_PROBLEM, evidence, within, steps, damping)
 
     if other is None:
-        end = descended(start)
+        end = descended(start, steps)
         return end.x, _status(end)
 
     def unsatisfied(carry: tuple[Array, Descent]) -> Array:
@@ -124,9 +152,11 @@ def _lowest(
         return (attempts == 0) | ((attempts == 1) & ~(best.cost <= other.above))
 
     def attempt(carry: tuple[Array, Descent]) -> tuple[Array, Descent]:
-        # Both through here, so that the descent compiles once.
+        # Both through here, so that the descent compiles once; in a batch who is satisfied rests.
         attempts, best = carry
-        end = descended(_where(attempts == 0, start, other.start))
+        end = descended(
+            _where(attempts == 0, start, other.start), jnp.where(unsatisfied(carry), steps, 0)
+        )
         return attempts + 1, _where(end.cost < best.cost, end, best)
 
     none = Descent(start, jnp.asarray(jnp.inf, start.angles.dtype), jnp.zeros((), bool))
@@ -158,6 +188,11 @@ class _About(NamedTuple):
     second_order: Array
     moves: Array
 
+    @property
+    def cost(self) -> Array:
+        """() half the squares of all residuals."""
+        return jnp.sum(self.residuals**2) / 2
+
     def step(self, change: Array, pull: Array) -> Array:
         """The minimum's step (6 + D,) as the residuals and their pull change."""
         return least_squares_step(self.jacobian, self.second_order, self.moves, change, pull)
@@ -165,78 +200,55 @@ class _About(NamedTuple):
     def step_within(self, low: Array, high: Array) -> Array:
         """The step to the minimum; what would pass its limit goes there, and the others know."""
 
-        def limited(_: int, so_far: tuple[Array, Array]) -> tuple[Array, Array]:
-            step, moves = so_far
+        def unsettled(so_far: tuple) -> Array:
+            count, *_, met = so_far
+            return met & (count < ROUNDS)
+
+        def limited(so_far: tuple) -> tuple:
+            count, step, moves, _ = so_far
             fixed = jnp.where(moves, 0.0, step)
             change = self.residuals + jnp.matmul(self.jacobian, fixed, precision=HIGHEST)
             pull = jnp.matmul(self.second_order, fixed, precision=HIGHEST)
             wanted = least_squares_step(self.jacobian, self.second_order, moves, change, pull)
             step = jnp.clip(jnp.where(moves, wanted, step), low, high)
-            return step, moves & (wanted >= low) & (wanted <= high)
+            within = moves & (wanted >= low) & (wanted <= high)
+            return count + 1, step, within, jnp.any(moves & ~within)
 
-        return jax.lax.fori_loop(0, ROUNDS, limited, (jnp.zeros_like(low), self.moves))[0]
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _following(exact: bool, evidence: _Evidence, pose: Pose) -> Pose:
-    """The pose, or exactly the minimum beside it, with the minimum's derivatives."""
-    return _polished(evidence, pose)[0] if exact else pose
+        first = jnp.zeros((), jnp.int32), jnp.zeros_like(low), self.moves, jnp.ones((), bool)
+        return jax.lax.while_loop(unsettled, limited, first)[1]
 
 
-@_following.defjvp
-def _following_jvp(exact: bool, primals: tuple, tangents: tuple) -> tuple[Pose, Pose]:
-    evidence, pose = primals
-    there, about = _polished(evidence, pose)
-    pose = there if exact else pose
-    still = jnp.zeros(about.moves.shape, about.residuals.dtype)
-
-    def changed(evidence: _Evidence) -> tuple[Array, Array, Pose]:
-        model, terms, measured, _ = evidence
-        here = _at_limits(evidence, there, about.moves)
-        now = residuals(terms, model, here, measured)
-        pulled = pull(terms, model, here, measured, about.residuals, still)
-        return now, pulled, _at_limits(evidence, pose, about.moves)
-
-    *changes, limited = jax.jvp(changed, (evidence,), (tangents[0],))[1]
-    moved = jax.jvp(partial(retract, pose), (still,), (about.step(*changes),))[1]
-    return pose, moved._replace(angles=moved.angles + limited.angles)
+def _moved(evidence: _Evidence, pose: Pose) -> Pose:
+    """Where a pose at its minimum goes as the evidence changes."""
+    held = jax.lax.stop_gradient(evidence)
+    there, about = jax.lax.stop_gradient(_polished(held, pose))
+    here = _at_limits(evidence, there, about.moves)
+    model, terms, measured, _ = evidence
+    changes = residuals_and_pull(terms, model, here, measured, about.residuals)
+    step = about.step(*(part - jax.lax.stop_gradient(part) for part in changes))
+    return retract(_at_limits(evidence, pose, about.moves), step)
 
 
 def _polished(evidence: _Evidence, pose: Pose) -> tuple[Pose, _About]:
     """The minimum, as exactly as the precision allows, and the residuals there."""
 
-    def polish(pose: Pose, _: None) -> tuple[Pose, _About]:
-        about = _about(evidence, pose)
-        there = retract(pose, about.step_within(*_room(evidence, pose)))
-        here = jnp.sum(about.residuals**2) / 2
+    def polish(carry: tuple, _: None) -> tuple[tuple, None]:
+        (pose, about), tried = carry
+        there = _about(evidence, tried)
         # Where costs differ by rounding alone, the step still says where the minimum is.
-        ends = _cost(evidence, there) <= here + 1e-3 * (1e-3 + here)
-        return jax.tree.map(lambda new, old: jnp.where(ends, new, old), there, pose), about
+        ends = there.cost <= about.cost + 1e-3 * (1e-3 + about.cost)
+        pose, about = best = _where(ends, (tried, there), (pose, about))
+        return (best, retract(pose, about.step_within(*_room(evidence, pose)))), None
 
-    pose, each = jax.lax.scan(polish, pose, None, POLISHING)
-    return pose, jax.tree.map(lambda part: part[-1], each)
+    like = jax.eval_shape(partial(_about, evidence), pose)
+    unknown = jax.tree.map(lambda part: jnp.full(part.shape, jnp.inf).astype(part.dtype), like)
+    return jax.lax.scan(polish, ((pose, unknown), pose), None, POLISHING)[0][0]
 
 
 def _about(evidence: _Evidence, pose: Pose) -> _About:
-    model, terms, measured, _ = evidence
-    r, J, S = second_order(terms, model, pose, measured)
+    r, J, S = _local(evidence, pose)
     low, high = _room(evidence, pose)
     return _About(r, J, S, ~rests(jnp.matmul(r, J, precision=HIGHEST), low, high))
-
-
-def _cost(evidence: _Evidence, pose: Pose) -> Array:
-    """() half the squares of all residuals."""
-    model, terms, measured, _ = evidence
-    return jnp.sum(residuals(terms, model, pose, measured) ** 2) / 2
-
-
-def _room(evidence: _Evidence, pose: Pose) -> tuple[Array, Array]:
-    """How far (6 + D,) each degree of freedom may go down and up."""
-    low, high = room(evidence.model.skeleton.limits, pose.angles)
-    endless = jnp.full(ROOT_DOF, jnp.inf, low.dtype)
-    low, high = jnp.concatenate([-endless, low]), jnp.concatenate([endless, high])
-    free = True if evidence.free is None else evidence.free
-    return jnp.where(free, low, 0.0), jnp.where(free, high, 0.0)
 
 
 def _at_limits(evidence: _Evidence, pose: Pose, moves: Array) -> Pose:

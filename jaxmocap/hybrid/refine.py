@@ -116,12 +116,13 @@ def refine_event(
         belief = updated_belief(belief, arms, _arms(model, pose), edges, pose)
     if settings.balance == "after":
         pose, _, balanced = bow_on_feet(model.skeleton, settings.ik, pose, bow_factors)
-    refined = _arms(model, pose)
+    frames = forward(model.skeleton, pose)
+    refined = arms_of(model.skeleton, frames, model.grips)
     outline_px = jnp.full(2, jnp.nan, targets.dtype)
     if edges is not None and model.cameras is not None:
         outline_px = settings.edges.outline_px(model.cameras, edges, refined)
     mask = are_present(targets)
-    errors = goal_distances(model.skeleton, goals, pose)[: len(mask)]
+    errors = goal_distances(model.skeleton, goals, frames)[: len(mask)]
     report = StepReport(
         solved.ik.pose, jnp.where(mask, errors, jnp.nan), outline_px, swivels(arms, refined),
         without_image(settings.elbow_search, belief)[1], solved.ik.planted, solved.ik.placed,
@@ -139,7 +140,8 @@ def _last_unless_lost(
 ) -> Pose:
     """The last refined pose, so that the trunk that video has found stays found."""
     markers = len(model.markers.bone_indices)
-    errors = goal_distances(model.skeleton, goals, belief.pose)[:markers]
+    frames = forward(model.skeleton, belief.pose)
+    errors = goal_distances(model.skeleton, goals, frames)[:markers]
     lost = jnp.max(errors) > settings.ik.lost
     return jax.tree.map(lambda new, old: jnp.where(lost, new, old), pose, belief.pose)
 

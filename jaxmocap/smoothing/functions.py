@@ -16,23 +16,35 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.kinematics import (
+    Frames,
+    curvature,
+    forward,
+    jacobian,
+    landmark_sites,
+    landmarks,
+    site_positions,
+)
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.compilation.arguments import check_kind, floating
+from jaxmocap.evidence.expansion import expanded
 from jaxmocap.evidence.shapes import checked_measurements, checked_pose
-from jaxmocap.evidence.terms import Measurements, linearised, residuals
+from jaxmocap.evidence.terms import Measurements, residuals
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.solvers.block_bands import BlockBands, solve_block_banded
+from jaxmocap.solvers.optimum import following
 
 # An acceleration takes so many.
 FEWEST_EVENTS = 3
-# Steps of the descent, at most; the damping it begins with, and factors on it.
-STEPS, DAMPING, EASED, RAISED = 60, 1e-3, 0.2, 10.0
-# Newton steps after it, each of which squares the distance to the minimum.
-NEWTON_STEPS = 3
+# Steps of the descent, at most; damping, nats per squared metre or radian, that it begins with, at
+# most, and factors on it.
+STEPS, DAMPING, LARGEST_DAMPING, EASED, RAISED = 60, 1e-2, 1e9, 0.1, 10.0
+# The last step lowers the cost by less than so many precisions, nats, and by less than what
+# rounding does to it; and its largest entry is less than so many roots of the precision.
+LITTLE, SHORT = 100.0, 30.0
 # Curvature that every unknown has at least.
 FLOOR = 1e-6
 
@@ -100,10 +112,12 @@ class _Problem(NamedTuple):
 
 
 class _Slopes(NamedTuple):
-    """The cost's gradient (T, N) and Hessian, or Gauss-Newton's."""
+    """The cost, its gradient (T, N), Gauss-Newton's Hessian and what that leaves out (T, N, N)."""
 
+    cost: Array
     gradient: Array
     hessian: BlockBands
+    bending: Array
 
 
 def smooth_events(model: Model, settings: SmoothingSettings, events: Events) -> SmoothMotion:
@@ -119,25 +133,18 @@ def smooth_events(model: Model, settings: SmoothingSettings, events: Events) -> 
     """
     problem = _Problem(model, settings, events.times, events.measured)
     held, start = jax.lax.stop_gradient((problem, events.poses))
-    poses = _descended(held, start)
-
-    def newton(_: int, carry: tuple[Pose, BlockBands]) -> tuple[Pose, BlockBands]:
-        poses = carry[0]
-        slopes = _whole(held, poses)
-        step = solve_block_banded(slopes.hessian, slopes.gradient)
-        # Where it is no minimum of the whole cost, by Gauss-Newton's.
-        rough = _raised(_gauss_newton(held, poses).hessian, jnp.zeros((), step.dtype))
-        sound = jnp.all(jnp.isfinite(step))
-        hessian = jax.tree.map(lambda a, b: jnp.where(sound, a, b), slopes.hessian, rough)
-        moved = retract(poses, -jnp.where(sound, step, 0.0))
-        return jax.tree.map(lambda a, b: jnp.where(sound, a, b), moved, poses), hessian
-
-    blank = jnp.zeros((len(start.angles),) + 2 * (model.skeleton.costs.size,), start.angles.dtype)
-    poses, hessian = jax.lax.fori_loop(0, NEWTON_STEPS, newton, (poses, BlockBands(*3 * (blank,))))
-    gradient = _gradient(problem, poses)
-    poses = retract(poses, -solve_block_banded(hessian, gradient))
+    poses = following(_moved, problem, jax.lax.stop_gradient(_descended(held, start)))
     points = jax.vmap(partial(landmarks, model.skeleton))(poses)
     return SmoothMotion(events.times, poses, points)
+
+
+def _moved(problem: _Problem, poses: Pose) -> Pose:
+    """Where poses at their minimum go as the problem changes."""
+    slopes = _slopes(jax.lax.stop_gradient(problem), poses)
+    gradient = _gradient(problem, poses)
+    change = gradient - jax.lax.stop_gradient(gradient)
+    _, hessian = _solved(slopes, jnp.zeros((), change.dtype))
+    return retract(poses, -solve_block_banded(jax.lax.stop_gradient(hessian), change))
 
 
 def _cost(problem: _Problem, poses: Pose) -> Array:
@@ -181,44 +188,33 @@ def _ties(problem: _Problem) -> list[Array]:
     return each
 
 
-def _gauss_newton(problem: _Problem, poses: Pose) -> _Slopes:
-    model, settings = problem.model, problem.settings
-    none = jnp.zeros(0, poses.angles.dtype)
-    linear = jax.vmap(lambda pose, own: linearised(settings.terms, model, none, pose, own))(
-        poses, problem.measured
+def _slopes(problem: _Problem, poses: Pose) -> _Slopes:
+    """Of the whole cost: Gauss-Newton leaves out the curvature of residuals and of landmarks."""
+    skeleton, sites = problem.model.skeleton, landmark_sites(problem.model.skeleton)
+
+    def seen(pose: Pose) -> tuple[Frames, Array]:
+        frames = forward(skeleton, pose)
+        return frames, site_positions(skeleton, frames, sites)
+
+    frames, points = jax.vmap(seen)(poses)
+    flat = points.reshape(len(points), -1)
+    pull, accelerations = _pull(problem, flat).reshape(points.shape), _accelerations(problem, flat)
+
+    def of_event(
+        pose: Pose, own: Measurements, frames: Frames, points: Array, pull: Array
+    ) -> tuple:
+        r, J, S = expanded(problem.settings.terms, problem.model, pose, own)
+        by_points = jacobian(skeleton, frames, sites.bones, points).reshape(-1, J.shape[1])
+        slope = jnp.matmul(r, J, precision=HIGHEST)
+        slope += jnp.matmul(pull.ravel(), by_points, precision=HIGHEST)
+        S = S + curvature(skeleton, frames, sites.bones, points, pull)
+        return jnp.sum(r**2), slope, jnp.matmul(J.T, J, precision=HIGHEST), S, by_points
+
+    squares, slope, own, bending, by_points = jax.vmap(of_event)(
+        poses, problem.measured, frames, points, pull
     )
-    J, r = linear.jacobian, linear.residuals
-    hessian = jnp.einsum("trn,trm->tnm", J, J, precision=HIGHEST)
-    pull = _pull(problem, linear.points)
-    gradient = jnp.einsum("trn,tr->tn", J, r, precision=HIGHEST)
-    gradient += jnp.einsum("tpn,tp->tn", linear.points_jacobian, pull, precision=HIGHEST)
-    return _Slopes(gradient, _with_prior(problem, hessian, linear.points_jacobian))
-
-
-def _whole(problem: _Problem, poses: Pose) -> _Slopes:
-    """With what Gauss-Newton leaves out: the curvature of residuals and of landmarks."""
-    model, settings = problem.model, problem.settings
-    points = jax.vmap(partial(landmarks, model.skeleton))(poses).reshape(len(problem.times), -1)
-    pull = _pull(problem, points)
-    still = jnp.zeros(model.skeleton.costs.size, poses.angles.dtype)
-
-    def of_event(pose: Pose, own: Measurements, pull: Array) -> tuple[Array, Array, Array]:
-        def cost(step: Array) -> tuple[Array, Array]:
-            there = retract(pose, step)
-            r = residuals(settings.terms, model, there, own)
-            at = landmarks(model.skeleton, there).ravel()
-            return jnp.sum(r**2) / 2 + jnp.sum(pull * at), at
-
-        def uphill(step: Array) -> tuple[tuple[Array, Array], Array]:
-            slope, at = jax.grad(cost, has_aux=True)(step)
-            return (slope, at), slope
-
-        (hessian, jacobian), gradient = jax.jacfwd(uphill, has_aux=True)(still)
-        return gradient, hessian, jacobian
-
-    gradient, hessian, jacobian = jax.vmap(of_event)(poses, problem.measured, pull)
-    hessian = (hessian + hessian.swapaxes(1, 2)) / 2
-    return _Slopes(gradient, _with_prior(problem, hessian, jacobian))
+    cost = (jnp.sum(squares) + jnp.sum(accelerations**2)) / 2
+    return _Slopes(cost, slope, _with_prior(problem, own, by_points), bending)
 
 
 def _pull(problem: _Problem, points: Array) -> Array:
@@ -236,35 +232,64 @@ def _with_prior(problem: _Problem, hessian: Array, jacobian: Array) -> BlockBand
     return BlockBands(hessian + blocks[0], *blocks[1:])
 
 
-def _raised(hessian: BlockBands, damping: Array) -> BlockBands:
-    """With a share of its diagonal, and the floor, added to it."""
-    diagonal = jnp.einsum("tnn->tn", hessian.own)
-    more = (damping * diagonal + FLOOR)[..., None] * jnp.eye(
-        diagonal.shape[1], dtype=diagonal.dtype
-    )
-    return hessian._replace(own=hessian.own + more)
+def _solved(slopes: _Slopes, damping: Array) -> tuple[Array, BlockBands]:
+    """The gradient (T, N) by the inverse Hessian, damped, and that; Gauss-Newton's where it must.
+
+    Where the whole Hessian is not positive it is of no minimum.
+    """
+    more = (damping + FLOOR) * jnp.eye(slopes.gradient.shape[1], dtype=damping.dtype)
+
+    def damped(curved: Array) -> BlockBands:
+        own = slopes.hessian.own + curved * slopes.bending + more
+        return slopes.hessian._replace(own=own)
+
+    def unsound(carry: tuple[Array, Array]) -> Array:
+        curved, solved = carry
+        return (curved > 0) & ~jnp.all(jnp.isfinite(solved))
+
+    def solve(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        curved = carry[0] - 1
+        return curved, solve_block_banded(damped(curved), slopes.gradient)
+
+    first = jnp.full((), 2.0, damping.dtype), jnp.full_like(slopes.gradient, jnp.nan)
+    curved, solved = jax.lax.while_loop(unsound, solve, first)
+    return solved, damped(curved)
+
+
+class _Steps(NamedTuple):
+    """Between two steps: the best poses so far, and those that are tried next."""
+
+    made: Array
+    best: Pose
+    slopes: _Slopes
+    tried: Pose
+    damping: Array
+    short: Array
 
 
 def _descended(problem: _Problem, start: Pose) -> Pose:
-    """Poses (T, ...) after Levenberg-Marquardt's steps."""
-    tolerance = 10 * jnp.finfo(start.angles.dtype).eps
+    """Poses (T, ...) where damped Newton steps end."""
+    like = jax.eval_shape(_slopes, problem, start)
+    precision = jnp.finfo(like.cost.dtype).eps
 
-    def unfinished(carry: tuple[Array, Pose, Array, Array, Array]) -> Array:
-        count, _, _, damping, moves = carry
-        return (count < STEPS) & moves & (damping < 1e9)
+    def unfinished(now: _Steps) -> Array:
+        return (now.made < STEPS) & ~now.short & (now.damping < LARGEST_DAMPING)
 
-    def step(carry: tuple[Array, Pose, Array, Array, Array]) -> tuple:
-        count, poses, cost, damping, _ = carry
-        slopes = _gauss_newton(problem, poses)
-        move = -solve_block_banded(_raised(slopes.hessian, damping), slopes.gradient)
-        there = retract(poses, move)
-        price = _cost(problem, there)
-        lower = price < cost
-        poses = jax.tree.map(lambda new, old: jnp.where(lower, new, old), there, poses)
-        gained = (cost - price > tolerance * cost) | ~lower
-        damping = damping * jnp.where(lower, EASED, RAISED)
-        return count + 1, poses, jnp.where(lower, price, cost), damping, gained
+    def step(now: _Steps) -> _Steps:
+        there, first = _slopes(problem, now.tried), now.made == 0
+        # Where costs differ by rounding alone, the step still says where the minimum is.
+        lower = first | (there.cost <= now.slopes.cost * (1 + 10 * precision))
+        best, slopes = jax.tree.map(
+            lambda new, old: jnp.where(lower, new, old), (now.tried, there), (now.best, now.slopes)
+        )
+        damping = now.damping * jnp.where(first, 1.0, jnp.where(lower, EASED, RAISED))
+        move = -_solved(slopes, damping)[0]
+        short = jnp.max(jnp.abs(move)) < SHORT * jnp.sqrt(precision)
+        short &= jnp.abs(jnp.vdot(slopes.gradient, move)) < precision * (LITTLE + slopes.cost)
+        return _Steps(now.made + 1, best, slopes, retract(best, move), damping, short)
 
-    damping = jnp.asarray(DAMPING, start.angles.dtype)
-    first = (jnp.zeros((), jnp.int32), start, _cost(problem, start), damping, jnp.ones((), bool))
-    return jax.lax.while_loop(unfinished, step, first)[1]
+    unknown = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), like)
+    damping, no = jnp.asarray(DAMPING, start.angles.dtype), jnp.zeros((), bool)
+    begun = _Steps(jnp.zeros((), jnp.int32), start, unknown, start, damping, no)
+    end = jax.lax.while_loop(unfinished, step, begun)
+    return jax.tree.map(lambda new, old: jnp.where(end.short, new, old), end.tried, end.best)

@@ -37,6 +37,7 @@ from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
+from jaxmocap.evidence.expansion import expanded
 from jaxmocap.evidence.keypoints import lines_of_sight
 from jaxmocap.evidence.markers import Goals, PointGoals, SearchedElbows
 from jaxmocap.evidence.posture import (
@@ -53,7 +54,6 @@ from jaxmocap.evidence.terms import (
     linearised,
     linearised_term,
     residuals,
-    second_order,
 )
 from jaxmocap.geometry.cameras import project
 from jaxmocap.hybrid.fit import Aims, refine_body
@@ -251,7 +251,7 @@ def all_curvatures(terms, model, pose, measured):
     def symmetric(matrix):
         return (matrix + matrix.T) / 2
 
-    ours = [symmetric(second_order((term,), model, pose, measured)[2]) for term in terms]
+    ours = [symmetric(expanded((term,), model, pose, measured)[2]) for term in terms]
     return jnp.stack(ours), jnp.stack([expected(term) for term in terms])
 
 
@@ -277,7 +277,7 @@ def test_the_second_order_keeps_the_order_of_terms():
     with double():
         terms, model, measured = in_double((terms, MODEL, another_moment()))
         pose = jax.jit(retract)(measured["centre"], jnp.full(PERSON.costs.size, 0.01))
-        r, J, _ = jax.jit(second_order)(terms, model, pose, measured)
+        r, J, _ = jax.jit(expanded)(terms, model, pose, measured)
         expected = jax.jit(linearised)(terms, model, jnp.zeros(0), pose, measured)
     np.testing.assert_allclose(r, expected.residuals, atol=1e-9)
     np.testing.assert_allclose(J, expected.jacobian, atol=1e-6)

@@ -42,7 +42,7 @@ def squat(skeleton, start, depth, factors):
     pose = ik.reach(model, settings, measured, start)
     bowed, free, bows = balance.bow_on_feet(skeleton, settings, pose, factors)
     balanced = ik.reach(model, settings, measured, bowed, free)
-    return pose, balanced, bows, ik.goal_distances(skeleton, goals, balanced)
+    return pose, balanced, bows, ik.goal_distances(skeleton, goals, forward(skeleton, balanced))
 
 
 def outside(skeleton, pose):

@@ -27,12 +27,11 @@ from watched_arms import (
 )
 
 from jaxmocap.body.arms import arm_dofs, hang, swing
-from jaxmocap.body.kinematics import Sites, forward, site_positions
+from jaxmocap.body.kinematics import Sites, forward, points_on, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.compilation.programs import Program
 from jaxmocap.evidence.markers import Goals
-from jaxmocap.evidence.terms import points_on
 from jaxmocap.hybrid import tracker as tracker_module
 from jaxmocap.hybrid.feet import FootPlacement
 from jaxmocap.hybrid.fit import Aims, refine_body

@@ -1,0 +1,178 @@
+"""Residuals of several terms about a pose: their Jacobian and their second derivatives.
+
+Terms see a posed body, whose derivatives by the pose have formulas (equation (4)). So automatic
+differentiation goes through each term alone, not through the tree of bones.
+
+INPUTS: terms, a Model, a pose, what was measured. OUTPUTS: whitened residuals, their derivatives.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import curvature, forward, jacobian, site_positions
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose, retract
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.evidence.terms import (
+    Measurements,
+    PosedBody,
+    Term,
+    body_sites,
+    joined_residuals,
+    posed_body,
+)
+from jaxmocap.geometry.rotations import HIGHEST, hat, quaternion_multiply, quaternion_to_matrix
+
+
+def expanded(
+    terms: Sequence[Term], model: Model, pose: Pose, measured: Measurements, bends: bool = True
+) -> tuple[Array, Array, Array]:
+    """All residuals (R,), Jacobian (R, N) and sum of second derivatives times residuals (N, N).
+
+    Args:
+        terms: of the evidence.
+        model: of the person, the markers and the cameras.
+        pose: of the person; N = 6 + D.
+        measured: of this moment.
+        bends: whether second derivatives are looked for; else that sum is 0.
+    """
+    body, N = _body(model, pose), ROOT_DOF + pose.angles.size
+    each, bending = [], jnp.zeros((N, N), pose.angles.dtype)
+    for term in terms:
+        r, J = term.residual(model, body, measured), term.jacobian(model, body, measured)
+        S = term.curvature(model, body, measured, r) if bends and J is not None else None
+        J = None if bends and S is None else J
+        each.append((r.ravel(), J if J is None else J.reshape(-1, N)))
+        bending = bending if S is None else bending + S
+    others = [term for term, (_, J) in zip(terms, each, strict=True) if J is None]
+    if others:
+        # Those without formulas at one go, and then back in the terms' order.
+        ways, of_body = (
+            _Ways.of(model, body),
+            lambda seen: joined_residuals(others, model, seen.on(body), measured),
+        )
+        r, push = jax.linearize(of_body, _Seen.of(body))
+        rows = jax.vmap(push, out_axes=-1)(ways.each)
+        left = iter(jnp.split(rows, np.cumsum([r.size for r, J in each if J is None])[:-1]))
+        each = [(r, next(left) if J is None else J) for r, J in each]
+        if bends:
+            slope, bend = jax.linearize(
+                jax.grad(lambda seen: jnp.vdot(of_body(seen), r)), _Seen.of(body)
+            )
+            S = ways.times(jax.vmap(bend)(ways.each)) + ways.bending(model, body, slope)
+            bending = bending + (S + S.T) / 2
+    r, J = (jnp.concatenate(parts) for parts in zip(*each, strict=True))
+    return r, J, bending
+
+
+def residuals_and_pull(
+    terms: Sequence[Term], model: Model, pose: Pose, measured: Measurements, weights: Array
+) -> tuple[Array, Array]:
+    """All residuals (R,), and the derivative (6 + D,) of the residuals times weights (R,)."""
+    body, N = _body(model, pose), ROOT_DOF + pose.angles.size
+    each = [term.residual(model, body, measured).ravel() for term in terms]
+    own = jnp.split(weights, np.cumsum([r.size for r in each])[:-1])
+    total, others = jnp.zeros(N, weights.dtype), []
+    for term, w in zip(terms, own, strict=True):
+        J = term.jacobian(model, body, measured)
+        if J is None:
+            others.append((term, w))
+        else:
+            total = total + jnp.matmul(w, J.reshape(-1, N), precision=HIGHEST)
+    if others:
+        left, w = [term for term, _ in others], jnp.concatenate([w for _, w in others])
+
+        def weighed(seen: _Seen) -> Array:
+            return jnp.vdot(joined_residuals(left, model, seen.on(body), measured), w)
+
+        total = total + _Ways.of(model, body).pull(jax.grad(weighed)(_Seen.of(body)))
+    return jnp.concatenate(each), total
+
+
+def _body(model: Model, pose: Pose) -> PosedBody:
+    return posed_body(model, pose)._replace(frames=forward(model.skeleton, pose))
+
+
+class _Seen(NamedTuple):
+    """What terms see of a posed body, or its derivatives; see ``PosedBody``."""
+
+    markers: Array
+    landmarks: Array
+    R_world_pelvis: Array
+    centre_of_gravity: Array
+    pose: Pose
+
+    @classmethod
+    def of(cls, body: PosedBody) -> "_Seen":
+        return cls(*(getattr(body, name) for name in cls._fields))
+
+    def on(self, body: PosedBody) -> PosedBody:
+        return body._replace(**self._asdict())
+
+
+class _Ways(NamedTuple):
+    """How what terms see goes with a tangent vector.
+
+    Attributes:
+        points_world: (P, 3) of ``body_sites``.
+        shares: of the bones in the mass.
+        each: leaves (N, ...), of one entry each.
+    """
+
+    points_world: Array
+    shares: Array
+    each: _Seen
+
+    @classmethod
+    def of(cls, model: Model, body: PosedBody) -> "_Ways":
+        skeleton, pose, frames = model.skeleton, body.pose, body.frames
+        assert frames is not None
+        sites = body_sites(model)
+        points = site_positions(skeleton, frames, sites)
+        J = jnp.moveaxis(jacobian(skeleton, frames, sites.bones, points), -1, 0)
+        markers = len(body.markers)
+        on_markers, landmarks, in_bones = jnp.split(J, [markers, markers + len(LANDMARKS)], 1)
+        shares = skeleton.masses / jnp.sum(skeleton.masses)
+        gravity = jnp.einsum("p,npi->ni", shares, in_bones, precision=HIGHEST)
+        every = jnp.eye(J.shape[0], dtype=points.dtype)
+        about = every[:, 3:ROOT_DOF]
+        turned = jnp.matmul(hat(about), body.R_world_pelvis, precision=HIGHEST)
+        half = jnp.pad(about / 2, ((0, 0), (1, 0)))
+        spun = quaternion_multiply(half, jnp.broadcast_to(pose.quaternion, half.shape))
+        moved = Pose(every[:, :3], spun, every[:, ROOT_DOF:])
+        return cls(points, shares, _Seen(on_markers, landmarks, turned, gravity, moved))
+
+    def pull(self, slope: _Seen) -> Array:
+        """(N,) of a slope by what is seen."""
+        return self.times(jax.tree.map(lambda part: part[None], slope))[:, 0]
+
+    def times(self, others: _Seen) -> Array:
+        """(N, K) inner products with others, leaves (K, ...)."""
+        flat = [
+            jnp.concatenate([part.reshape(len(part), -1) for part in jax.tree.leaves(seen)], 1)
+            for seen in (self.each, others)
+        ]
+        return jnp.matmul(flat[0], flat[1].T, precision=HIGHEST)
+
+    def bending(self, model: Model, body: PosedBody, slope: _Seen) -> Array:
+        """Second derivatives (N, N) of what is seen times a slope by it, summed."""
+        assert body.frames is not None
+        in_bones = self.shares[:, None] * slope.centre_of_gravity
+        forces = jnp.concatenate([slope.markers, slope.landmarks, in_bones])
+        bones = body_sites(model).bones
+        S = curvature(model.skeleton, body.frames, bones, self.points_world, forces)
+
+        def turned(turn: Array) -> Array:
+            step = jnp.zeros(len(S), turn.dtype).at[3:ROOT_DOF].set(turn)
+            q = retract(body.pose, step).quaternion
+            pelvis = jnp.vdot(slope.R_world_pelvis, quaternion_to_matrix(q))
+            return pelvis + jnp.vdot(slope.pose.quaternion, q)
+
+        own = jax.hessian(turned)(jnp.zeros(3, S.dtype))
+        return S.at[3:ROOT_DOF, 3:ROOT_DOF].add(own)
