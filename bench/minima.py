@@ -199,12 +199,16 @@ def by_scipy(model: Model, settings: Settings, given: Task) -> Pose:
         np.concatenate([np.full(6, -np.inf), low - np.asarray(start.angles) - 1e-9]),
         np.concatenate([np.full(6, np.inf), high - np.asarray(start.angles) + 1e-9]),
     )
-    found = scipys(
-        lambda x: np.asarray(_along(model, settings, given, start, x)[0]),
-        np.zeros(len(low) + 6),
-        lambda x: np.asarray(_along(model, settings, given, start, x)[1]),  # pyright: ignore
-        bounds, xtol=1e-12, ftol=1e-12, gtol=1e-12, x_scale="jac", max_nfev=500,
-    )  # fmt: skip
+    along = partial(_along, model, settings, given, start)
+    try:
+        found = scipys(
+            lambda x: np.asarray(along(x)[0]), np.zeros(len(low) + 6),
+            lambda x: np.asarray(along(x)[1]),  # pyright: ignore
+            bounds, xtol=1e-12, ftol=1e-12, gtol=1e-12, x_scale="jac", max_nfev=500,
+        )  # fmt: skip
+    except np.linalg.LinAlgError:
+        # Its own singular value decomposition did not converge.
+        return start
     return retract(start, jnp.asarray(found.x))
 
 
