@@ -162,15 +162,16 @@ def rivals() -> Iterator[Metric]:
     bones = np.array([skeleton.tree.bone(name) for name in rival_ik.REACHING], np.int32)
     model = Model.create(skeleton, Sites(bones, jnp.zeros(len(bones)), jnp.zeros((len(bones), 3))))
 
+    # The model is the program's own, as it is theirs.
     @jax.jit
-    def followed(model: Any, settings: Any, markers: Array, last: Any) -> tuple:
-        pose = solve(model, settings, markers, last)
+    def followed(markers: Array, last: Any) -> tuple:
+        pose = solve(model, Settings(), markers, last)
         return pose, forward(model.skeleton, pose).joints_world[bones]
 
-    last, settings = [start], Settings()
+    last = [start]
 
     def ours(goals: np.ndarray) -> np.ndarray:
-        last[0], points = followed(model, settings, goals.astype(np.float32), last[0])
+        last[0], points = followed(goals.astype(np.float32), last[0])
         return np.asarray(points)
 
     everybody = rival_ik.everybody(skeleton, start, set())
