@@ -75,9 +75,9 @@ def filmed(folder: Path | None) -> Iterator[tuple[Model, np.ndarray]]:
     for seed, (movement, stature) in enumerate(PEOPLE):
         times = np.arange(0, SECONDS, 1 / RATE_HZ)
         truth = movement(SECONDS, seed=seed, height=stature).landmarks(times)
-        person = Skeleton.human(stature)
+        skeleton = Skeleton.human(stature)
         for count in (3, 5):
-            model = Model.create(person, landmark_sites(person, NAMES[:count]))
+            model = Model.create(skeleton, landmark_sites(skeleton, NAMES[:count]))
             markers = np.stack([truth[name] for name in NAMES[:count]], 1)
             yield on_unmarked_feet(model), markers
     for path in sorted(folder.rglob("recording_*.toml")) if folder else ():
@@ -134,8 +134,8 @@ def _hand(
     return wrist + way * rng.uniform(0.3, 0.9)
 
 
-class Task(NamedTuple):
-    """A problem with its start, and where feet stand settled.
+class Objective(NamedTuple):
+    """What ``solve`` minimises, and from where.
 
     Attributes:
         start: to descend from.
@@ -147,7 +147,7 @@ class Task(NamedTuple):
 
 
 @jax.jit
-def task(model: Model, settings: Settings, markers: Array, start: Pose | None) -> Task:
+def objective(model: Model, settings: Settings, markers: Array, start: Pose | None) -> Objective:
     """What ``solve`` minimises."""
     relaxed = relaxed_pose(model.skeleton)
     pose, feet = place(model, settings.ik, markers)
@@ -156,7 +156,7 @@ def task(model: Model, settings: Settings, markers: Array, start: Pose | None) -
         pose, feet, frames = start, standing(model, start), forward(model.skeleton, start)
     effort = effort_shares(model.skeleton, frames, settings.ik.augmented_body)
     goals = goals_of(model, settings.ik, feet, markers)
-    return Task(pose, {"goals": goals, "last": LastPose(pose, effort, remembered)})
+    return Objective(pose, {"goals": goals, "last": LastPose(pose, effort, remembered)})
 
 
 def terms(settings: Settings) -> tuple:
@@ -166,40 +166,40 @@ def terms(settings: Settings) -> tuple:
 
 
 @jax.jit
-def local(model: Model, settings: Settings, given: Task, pose: Pose) -> tuple[Array, Array]:
+def local(model: Model, settings: Settings, aim: Objective, pose: Pose) -> tuple[Array, Array]:
     """Residuals (R,) and their Jacobian (R, 6 + D)."""
-    return expanded(terms(settings), model, pose, given.measured, bends=False)[:2]
+    return expanded(terms(settings), model, pose, aim.measured, bends=False)[:2]
 
 
 @jax.jit
-def ours(model: Model, settings: Settings, given: Task) -> Pose:
+def ours(model: Model, settings: Settings, aim: Objective) -> Pose:
     """Where ``solve`` ends."""
-    remembered = given.measured["last"].remembered
-    return reach(model, settings.ik, given.measured, given.start, remembered=remembered)
+    remembered = aim.measured["last"].remembered
+    return reach(model, settings.ik, aim.measured, aim.start, remembered=remembered)
 
 
 @jax.jit
-def optimistixs(model: Model, settings: Settings, given: Task) -> Pose:
+def optimistixs(model: Model, settings: Settings, aim: Objective) -> Pose:
     """Where Levenberg-Marquardt ends, 1000 steps at most; clipped to the limits."""
     scale = NearPose().deviations(model.skeleton)
     priced = (*terms(settings), JointLimits())
     found = least_squares(
-        lambda x, _: residuals(priced, model, retract(given.start, scale * x), given.measured),
+        lambda x, _: residuals(priced, model, retract(aim.start, scale * x), aim.measured),
         jnp.zeros_like(scale), largest_steps=1000, relative=1e-6, absolute=1e-6,
     )  # fmt: skip
-    pose, limits = retract(given.start, scale * found.point), model.skeleton.limits
+    pose, limits = retract(aim.start, scale * found.point), model.skeleton.limits
     return pose._replace(angles=jnp.clip(pose.angles, *limits.T))
 
 
-def by_scipy(model: Model, settings: Settings, given: Task) -> Pose:
+def by_scipy(model: Model, settings: Settings, aim: Objective) -> Pose:
     """Where SciPy's trust region ends, by tangent vectors about the start, within the limits."""
     low, high = np.asarray(model.skeleton.limits, float).T
-    start = given.start._replace(angles=jnp.clip(given.start.angles, low, high))
+    start = aim.start._replace(angles=jnp.clip(aim.start.angles, low, high))
     bounds = (
         np.concatenate([np.full(6, -np.inf), low - np.asarray(start.angles) - 1e-9]),
         np.concatenate([np.full(6, np.inf), high - np.asarray(start.angles) + 1e-9]),
     )
-    along = partial(_along, model, settings, given, start)
+    along = partial(_along, model, settings, aim, start)
     try:
         found = scipys(
             lambda x: np.asarray(along(x)[0]), np.zeros(len(low) + 6),
@@ -214,17 +214,17 @@ def by_scipy(model: Model, settings: Settings, given: Task) -> Pose:
 
 @jax.jit
 def _along(
-    model: Model, settings: Settings, given: Task, start: Pose, x: Array
+    model: Model, settings: Settings, aim: Objective, start: Pose, x: Array
 ) -> tuple[Array, Array]:
     """Residuals where a tangent vector leads, and their Jacobian by it."""
-    r, J = local(model, settings, given, retract(start, x))
+    r, J = local(model, settings, aim, retract(start, x))
     turned = jax.jacfwd(lambda more: difference(retract(start, x + more), retract(start, x)))
     return r, J @ turned(jnp.zeros_like(x))
 
 
-def cost(model: Model, settings: Settings, given: Task, pose: Pose) -> float:
+def cost(model: Model, settings: Settings, aim: Objective, pose: Pose) -> float:
     """In nats."""
-    return float(jnp.sum(local(model, settings, given, pose)[0] ** 2) / 2)
+    return float(jnp.sum(local(model, settings, aim, pose)[0] ** 2) / 2)
 
 
 @jax.jit
@@ -234,30 +234,30 @@ def gradient(model: Model, settings: Settings, markers: Array, start: Pose | Non
     ik = settings.ik
 
     def weighed(markers: Array, lengths: Array, offsets: Array, gains: Array) -> Array:
-        person = replace(model.skeleton, lengths=lengths)
-        own = replace(model, skeleton=person, markers=replace(model.markers, offsets=offsets))
+        skeleton = replace(model.skeleton, lengths=lengths)
+        own = replace(model, skeleton=skeleton, markers=replace(model.markers, offsets=offsets))
         chosen = replace(ik, **dict(zip(GAINS, gains, strict=True)))
         return jnp.sum(
             by * landmarks(own, solve(own, replace(settings, ik=chosen), markers, start))
         )
 
     gains = jnp.stack([getattr(ik, name) for name in GAINS])
-    given = markers, model.skeleton.lengths, model.markers.offsets, gains
-    return jax.grad(weighed, (0, 1, 2, 3))(*given)
+    arguments = markers, model.skeleton.lengths, model.markers.offsets, gains
+    return jax.grad(weighed, (0, 1, 2, 3))(*arguments)
 
 
 GAINS = ("relaxation", "uprightness", "memory")
 GRADIENTS = ("markers", "bone lengths", "marker offsets", "settings")
 
 
-def in_precision(tree: Any, dtype: Any) -> Any:
+def cast(tree: Any, dtype: Any) -> Any:
     """The same numbers in another precision."""
     return jax.tree.map(
         lambda leaf: jnp.asarray(leaf, dtype if np.asarray(leaf).dtype.kind == "f" else None), tree
     )
 
 
-def measure(given: list[Problem]) -> Iterator[Metric]:
+def measure(cases: list[Problem]) -> Iterator[Metric]:
     """All solvers and gradients on all problems."""
     solvers: dict[str, tuple[Callable, Any]] = {
         "ours, float32": (ours, jnp.float32), "ours, float64": (ours, jnp.float64),
@@ -268,20 +268,20 @@ def measure(given: list[Problem]) -> Iterator[Metric]:
     wrong = {name: [] for name in GRADIENTS}
     rng = np.random.default_rng(6)
     with jax.enable_x64(True), progress_bar("problems", None) as show:
-        for done, problem in enumerate(given):
-            show(done, len(given))
-            wide = in_precision((problem[1], SETTINGS, *problem[2:]), jnp.float64)
+        for done, problem in enumerate(cases):
+            show(done, len(cases))
+            wide = cast((problem[1], SETTINGS, *problem[2:]), jnp.float64)
             model, settings, markers, start = wide
-            at = task(model, settings, markers, start)
+            at = objective(model, settings, markers, start)
             for name, (solver, dtype) in solvers.items():
-                span, pose = timed(solver, *in_precision((model, settings, at), dtype))
+                span, pose = timed(solver, *cast((model, settings, at), dtype))
                 spent[name].append(span.wall)
-                costs[name].append(cost(model, settings, at, in_precision(pose, jnp.float64)))
+                costs[name].append(cost(model, settings, at, cast(pose, jnp.float64)))
             by = rng.normal(size=(len(LANDMARKS), 3))
-            single = gradient(*in_precision((*wide, by), jnp.float32))
+            single = gradient(*cast((*wide, by), jnp.float32))
             for name, a, b in zip(GRADIENTS, single, gradient(*wide, by), strict=True):
                 wrong[name].append(float(jnp.linalg.norm(a - b) / (jnp.linalg.norm(b) + 1e-9)))
-    least, kinds = np.min(list(costs.values()), 0), np.array([each.kind for each in given])
+    least, kinds = np.min(list(costs.values()), 0), np.array([each.kind for each in cases])
     for name, each in costs.items():
         over = np.array(each) / np.maximum(least, 1e-4)
         yield Metric(name, float(np.median(spent[name])), "ms")
@@ -305,9 +305,9 @@ def main() -> None:
     parser.add_argument("--recordings", metavar="DIR", type=Path, help="real recordings")
     parser.add_argument("--json", metavar="FILE", help="write the metrics")
     options = parser.parse_args()
-    given = problems(filmed(options.recordings), options.each)
-    print(f"{len(given)} problems")
-    metrics = list(measure(given))
+    cases = problems(filmed(options.recordings), options.each)
+    print(f"{len(cases)} problems")
+    metrics = list(measure(cases))
     print(table(metrics))
     if options.json:
         write_json(metrics, options.json)

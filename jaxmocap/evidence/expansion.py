@@ -40,7 +40,7 @@ def expanded(
         model: of the person, the markers and the cameras.
         pose: of the person; N = 6 + D.
         measured: of this moment.
-        bends: whether second derivatives are looked for; else that sum is 0.
+        bends: whether second derivatives are found; else that sum is 0.
     """
     body, N = _body(model, pose), ROOT_DOF + pose.angles.size
     each, bending = [], jnp.zeros((N, N), pose.angles.dtype)
@@ -53,19 +53,19 @@ def expanded(
     others = [term for term, (_, J) in zip(terms, each, strict=True) if J is None]
     if others:
         # Those without formulas at one go, and then back in the terms' order.
-        ways, of_body = (
-            _Ways.of(model, body),
-            lambda seen: joined_residuals(others, model, seen.on(body), measured),
-        )
-        r, push = jax.linearize(of_body, _Seen.of(body))
-        rows = jax.vmap(push, out_axes=-1)(ways.each)
+        derivatives, bare = _Derivatives.of(model, body), body._replace(frames=None)
+
+        def of_body(body: PosedBody) -> Array:
+            return joined_residuals(others, model, body, measured)
+
+        r, push = jax.linearize(of_body, bare)
+        rows = jax.vmap(push, out_axes=-1)(derivatives.each)
         left = iter(jnp.split(rows, np.cumsum([r.size for r, J in each if J is None])[:-1]))
         each = [(r, next(left) if J is None else J) for r, J in each]
         if bends:
-            slope, bend = jax.linearize(
-                jax.grad(lambda seen: jnp.vdot(of_body(seen), r)), _Seen.of(body)
-            )
-            S = ways.times(jax.vmap(bend)(ways.each)) + ways.bending(model, body, slope)
+            slope, bend = jax.linearize(jax.grad(lambda body: jnp.vdot(of_body(body), r)), bare)
+            S = derivatives.times(jax.vmap(bend)(derivatives.each))
+            S = S + derivatives.bending(model, body, slope)
             bending = bending + (S + S.T) / 2
     r, J = (jnp.concatenate(parts) for parts in zip(*each, strict=True))
     return r, J, bending
@@ -88,10 +88,11 @@ def residuals_and_pull(
     if others:
         left, w = [term for term, _ in others], jnp.concatenate([w for _, w in others])
 
-        def weighed(seen: _Seen) -> Array:
-            return jnp.vdot(joined_residuals(left, model, seen.on(body), measured), w)
+        def weighed(body: PosedBody) -> Array:
+            return jnp.vdot(joined_residuals(left, model, body, measured), w)
 
-        total = total + _Ways.of(model, body).pull(jax.grad(weighed)(_Seen.of(body)))
+        slope = jax.grad(weighed)(body._replace(frames=None))
+        total = total + _Derivatives.of(model, body).pull(slope)
     return jnp.concatenate(each), total
 
 
@@ -99,38 +100,21 @@ def _body(model: Model, pose: Pose) -> PosedBody:
     return posed_body(model, pose)._replace(frames=forward(model.skeleton, pose))
 
 
-class _Seen(NamedTuple):
-    """What terms see of a posed body, or its derivatives; see ``PosedBody``."""
-
-    markers: Array
-    landmarks: Array
-    R_world_pelvis: Array
-    centre_of_gravity: Array
-    pose: Pose
-
-    @classmethod
-    def of(cls, body: PosedBody) -> "_Seen":
-        return cls(*(getattr(body, name) for name in cls._fields))
-
-    def on(self, body: PosedBody) -> PosedBody:
-        return body._replace(**self._asdict())
-
-
-class _Ways(NamedTuple):
-    """How what terms see goes with a tangent vector.
+class _Derivatives(NamedTuple):
+    """Of a posed body by the tangent vector of ``retract``.
 
     Attributes:
         points_world: (P, 3) of ``body_sites``.
         shares: of the bones in the mass.
-        each: leaves (N, ...), of one entry each.
+        each: leaves (N, ...), by one entry each; no frames.
     """
 
     points_world: Array
     shares: Array
-    each: _Seen
+    each: PosedBody
 
     @classmethod
-    def of(cls, model: Model, body: PosedBody) -> "_Ways":
+    def of(cls, model: Model, body: PosedBody) -> "_Derivatives":
         skeleton, pose, frames = model.skeleton, body.pose, body.frames
         assert frames is not None
         sites = body_sites(model)
@@ -146,22 +130,22 @@ class _Ways(NamedTuple):
         half = jnp.pad(about / 2, ((0, 0), (1, 0)))
         spun = quaternion_multiply(half, jnp.broadcast_to(pose.quaternion, half.shape))
         moved = Pose(every[:, :3], spun, every[:, ROOT_DOF:])
-        return cls(points, shares, _Seen(on_markers, landmarks, turned, gravity, moved))
+        return cls(points, shares, PosedBody(on_markers, landmarks, turned, gravity, moved))
 
-    def pull(self, slope: _Seen) -> Array:
-        """(N,) of a slope by what is seen."""
+    def pull(self, slope: PosedBody) -> Array:
+        """(N,) of a slope by the posed body."""
         return self.times(jax.tree.map(lambda part: part[None], slope))[:, 0]
 
-    def times(self, others: _Seen) -> Array:
+    def times(self, others: PosedBody) -> Array:
         """(N, K) inner products with others, leaves (K, ...)."""
         flat = [
-            jnp.concatenate([part.reshape(len(part), -1) for part in jax.tree.leaves(seen)], 1)
-            for seen in (self.each, others)
+            jnp.concatenate([part.reshape(len(part), -1) for part in jax.tree.leaves(body)], 1)
+            for body in (self.each, others)
         ]
         return jnp.matmul(flat[0], flat[1].T, precision=HIGHEST)
 
-    def bending(self, model: Model, body: PosedBody, slope: _Seen) -> Array:
-        """Second derivatives (N, N) of what is seen times a slope by it, summed."""
+    def bending(self, model: Model, body: PosedBody, slope: PosedBody) -> Array:
+        """Second derivatives (N, N) of the posed body times a slope by it, summed."""
         assert body.frames is not None
         in_bones = self.shares[:, None] * slope.centre_of_gravity
         forces = jnp.concatenate([slope.markers, slope.landmarks, in_bones])

@@ -181,9 +181,9 @@ def arms_at_minimum(
     return following(_arms_moved, (model, settings, fields, grip_targets, elbows), pose)
 
 
-def _arms_moved(given: tuple, pose: Pose) -> Pose:
-    """Where arms at their minimum go as what is given changes."""
-    model, settings, fields, grip_targets, elbows = given
+def _arms_moved(parameters: tuple, pose: Pose) -> Pose:
+    """Where arms at their minimum go as the parameters change."""
+    model, settings, fields, grip_targets, elbows = parameters
     costs = _arm_costs(model, settings, fields.by_arm(), grip_targets, elbows)
     hung, dofs = hang(model.skeleton, pose, model.grips), arm_dofs(model.skeleton.tree)
 

@@ -8,7 +8,7 @@ stood. OUTPUTS: the pose that meets the markers, where the feet stand.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ from jaxmocap.hybrid.feet import FootPlacement, place, replant
 from jaxmocap.hybrid.minimum import Another, pose_at_minimum
 from jaxmocap.hybrid.paper import ik as paper_ik
 from jaxmocap.hybrid.settings import IKSettings
+from jaxmocap.solvers.descent import tree_where
 
 # Where a pose misses a goal by more, metres, and its minimum costs more, nats, the placed body is
 # another start.
@@ -68,7 +69,7 @@ def solve_ik(
     skeleton = model.skeleton
     is_first = ~jnp.all(jnp.isfinite(pose.position))
     relaxed = relaxed_pose(skeleton)
-    pose = _where(is_first, relaxed, pose)
+    pose = tree_where(is_first, relaxed, pose)
     # Both at once, so that kinematics compile once.
     both = jax.tree.map(lambda *parts: jnp.stack(parts), pose, relaxed)
     both = jax.vmap(partial(forward, skeleton))(both)
@@ -77,21 +78,17 @@ def solve_ik(
     missed = jnp.max(before[: len(targets)], initial=0.0)
     lost, far = (is_first | (missed > limit) for limit in (settings.lost, FAR_OFF))
     placed, placed_feet = place(model, settings, targets, at_ease)
-    pose, feet = _where(lost, (placed, placed_feet), (pose, feet))
+    pose, feet = tree_where(lost, (placed, placed_feet), (pose, feet))
     feet, planted = replant(model, settings, pose, feet, targets)
     goals = goals_of(model, settings, feet, targets)
     # A last pose that is far off may lie in a valley of its own.
     other = Another(placed, jnp.where(far & ~lost, WELL_MET, jnp.inf))
-    # Placing a body turns it about the vertical only, which no effort knows of.
-    frames, measured = _where(lost, at_ease, last), {"goals": goals}
+    # Placing a body turns it about the vertical only, on which no effort depends.
+    frames, measured = tree_where(lost, at_ease, last), {"goals": goals}
     pose = reach(model, settings, measured, pose, remembered=~lost, other=other, frames=frames)
     misses = goal_distances(skeleton, goals, forward(skeleton, pose))
     stretched = jnp.max(misses[len(targets) :], initial=0.0) > settings.leg_overstretch
     return IKResult(pose, feet._replace(overstretched=stretched), misses, planted, lost)
-
-
-def _where(condition: Array, one: Any, other: Any) -> Any:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
 
 
 def reach(

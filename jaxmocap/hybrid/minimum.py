@@ -5,7 +5,7 @@ INPUTS: a Model, terms, what was measured, a pose to start from. OUTPUTS: a pose
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +25,7 @@ from jaxmocap.solvers.descent import (
     Problem,
     descend,
     rests,
+    tree_where,
 )
 from jaxmocap.solvers.limits import room
 from jaxmocap.solvers.optimum import following, least_squares_step
@@ -91,8 +92,8 @@ def at_minimum(
     It takes no second derivatives but for its own derivatives: most terms have no formula for them.
     """
     evidence = _Evidence(model, tuple(terms), measured, free)
-    held = jax.lax.stop_gradient((evidence, pose))
-    return following(_moved, evidence, descend(_LINEAR, *held, STEPS, NEAR_DAMPING).x)
+    constant = jax.lax.stop_gradient((evidence, pose))
+    return following(_moved, evidence, descend(_LINEAR, *constant, STEPS, NEAR_DAMPING).x)
 
 
 class _Evidence(NamedTuple):
@@ -155,9 +156,9 @@ def _lowest(
         # Both through here, so that the descent compiles once; in a batch who is satisfied rests.
         attempts, best = carry
         end = descended(
-            _where(attempts == 0, start, other.start), jnp.where(unsatisfied(carry), steps, 0)
+            tree_where(attempts == 0, start, other.start), jnp.where(unsatisfied(carry), steps, 0)
         )
-        return attempts + 1, _where(end.cost < best.cost, end, best)
+        return attempts + 1, tree_where(end.cost < best.cost, end, best)
 
     none = Descent(start, jnp.asarray(jnp.inf, start.angles.dtype), jnp.zeros((), bool))
     _, best = jax.lax.while_loop(unsatisfied, attempt, (jnp.zeros((), jnp.int32), none))
@@ -169,36 +170,20 @@ def _status(end: Descent) -> Array:
     return found.astype(jnp.int32)
 
 
-def _where(condition: Array, one: Any, other: Any) -> Any:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
-
-
 class _About(NamedTuple):
-    """Residuals about a pose, to second order.
+    """Residuals about a pose, and which degrees of freedom (6 + D,) do not rest at a limit."""
 
-    Attributes:
-        residuals: (R,).
-        jacobian: (R, 6 + D).
-        second_order: (6 + D, 6 + D) the sum of their second derivatives, each times its residual.
-        moves: (6 + D,) which degrees of freedom do not rest at a limit.
-    """
-
-    residuals: Array
-    jacobian: Array
-    second_order: Array
+    local: Local
     moves: Array
-
-    @property
-    def cost(self) -> Array:
-        """() half the squares of all residuals."""
-        return jnp.sum(self.residuals**2) / 2
 
     def step(self, change: Array, pull: Array) -> Array:
         """The minimum's step (6 + D,) as the residuals and their pull change."""
-        return least_squares_step(self.jacobian, self.second_order, self.moves, change, pull)
+        _, J, S = self.local
+        return least_squares_step(J, S, self.moves, change, pull)
 
     def step_within(self, low: Array, high: Array) -> Array:
-        """The step to the minimum; what would pass its limit goes there, and the others know."""
+        """The step to the minimum; what would cross a limit ends there, the others follow."""
+        r, J, S = self.local
 
         def unsettled(so_far: tuple) -> Array:
             count, *_, met = so_far
@@ -207,9 +192,9 @@ class _About(NamedTuple):
         def limited(so_far: tuple) -> tuple:
             count, step, moves, _ = so_far
             fixed = jnp.where(moves, 0.0, step)
-            change = self.residuals + jnp.matmul(self.jacobian, fixed, precision=HIGHEST)
-            pull = jnp.matmul(self.second_order, fixed, precision=HIGHEST)
-            wanted = least_squares_step(self.jacobian, self.second_order, moves, change, pull)
+            change = r + jnp.matmul(J, fixed, precision=HIGHEST)
+            pull = jnp.matmul(S, fixed, precision=HIGHEST)
+            wanted = least_squares_step(J, S, moves, change, pull)
             step = jnp.clip(jnp.where(moves, wanted, step), low, high)
             within = moves & (wanted >= low) & (wanted <= high)
             return count + 1, step, within, jnp.any(moves & ~within)
@@ -220,11 +205,10 @@ class _About(NamedTuple):
 
 def _moved(evidence: _Evidence, pose: Pose) -> Pose:
     """Where a pose at its minimum goes as the evidence changes."""
-    held = jax.lax.stop_gradient(evidence)
-    there, about = jax.lax.stop_gradient(_polished(held, pose))
+    there, about = jax.lax.stop_gradient(_polished(jax.lax.stop_gradient(evidence), pose))
     here = _at_limits(evidence, there, about.moves)
     model, terms, measured, _ = evidence
-    changes = residuals_and_pull(terms, model, here, measured, about.residuals)
+    changes = residuals_and_pull(terms, model, here, measured, about.local.residuals)
     step = about.step(*(part - jax.lax.stop_gradient(part) for part in changes))
     return retract(_at_limits(evidence, pose, about.moves), step)
 
@@ -236,8 +220,8 @@ def _polished(evidence: _Evidence, pose: Pose) -> tuple[Pose, _About]:
         (pose, about), tried = carry
         there = _about(evidence, tried)
         # Where costs differ by rounding alone, the step still says where the minimum is.
-        ends = there.cost <= about.cost + 1e-3 * (1e-3 + about.cost)
-        pose, about = best = _where(ends, (tried, there), (pose, about))
+        ends = there.local.cost <= about.local.cost + 1e-3 * (1e-3 + about.local.cost)
+        pose, about = best = tree_where(ends, (tried, there), (pose, about))
         return (best, retract(pose, about.step_within(*_room(evidence, pose)))), None
 
     like = jax.eval_shape(partial(_about, evidence), pose)
@@ -246,9 +230,8 @@ def _polished(evidence: _Evidence, pose: Pose) -> tuple[Pose, _About]:
 
 
 def _about(evidence: _Evidence, pose: Pose) -> _About:
-    r, J, S = _local(evidence, pose)
-    low, high = _room(evidence, pose)
-    return _About(r, J, S, ~rests(jnp.matmul(r, J, precision=HIGHEST), low, high))
+    local = _local(evidence, pose)
+    return _About(local, ~rests(local.slope, *_room(evidence, pose)))
 
 
 def _at_limits(evidence: _Evidence, pose: Pose, moves: Array) -> Pose:

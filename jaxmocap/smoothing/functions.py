@@ -35,6 +35,7 @@ from jaxmocap.evidence.terms import Measurements, residuals
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.solvers.block_bands import BlockBands, solve_block_banded
+from jaxmocap.solvers.descent import tree_where
 from jaxmocap.solvers.optimum import following
 
 # An acceleration takes so many.
@@ -132,8 +133,8 @@ def smooth_events(model: Model, settings: SmoothingSettings, events: Events) -> 
         events: T of them, 3 at least.
     """
     problem = _Problem(model, settings, events.times, events.measured)
-    held, start = jax.lax.stop_gradient((problem, events.poses))
-    poses = following(_moved, problem, jax.lax.stop_gradient(_descended(held, start)))
+    constant, start = jax.lax.stop_gradient((problem, events.poses))
+    poses = following(_moved, problem, jax.lax.stop_gradient(_descended(constant, start)))
     points = jax.vmap(partial(landmarks, model.skeleton))(poses)
     return SmoothMotion(events.times, poses, points)
 
@@ -189,14 +190,14 @@ def _ties(problem: _Problem) -> list[Array]:
 
 
 def _slopes(problem: _Problem, poses: Pose) -> _Slopes:
-    """Of the whole cost: Gauss-Newton leaves out the curvature of residuals and of landmarks."""
+    """Of the cost: Gauss-Newton leaves out the curvature of residuals and of landmarks."""
     skeleton, sites = problem.model.skeleton, landmark_sites(problem.model.skeleton)
 
-    def seen(pose: Pose) -> tuple[Frames, Array]:
+    def landmarks_of(pose: Pose) -> tuple[Frames, Array]:
         frames = forward(skeleton, pose)
         return frames, site_positions(skeleton, frames, sites)
 
-    frames, points = jax.vmap(seen)(poses)
+    frames, points = jax.vmap(landmarks_of)(poses)
     flat = points.reshape(len(points), -1)
     pull, accelerations = _pull(problem, flat).reshape(points.shape), _accelerations(problem, flat)
 
@@ -235,7 +236,7 @@ def _with_prior(problem: _Problem, hessian: Array, jacobian: Array) -> BlockBand
 def _solved(slopes: _Slopes, damping: Array) -> tuple[Array, BlockBands]:
     """The gradient (T, N) by the inverse Hessian, damped, and that; Gauss-Newton's where it must.
 
-    Where the whole Hessian is not positive it is of no minimum.
+    Where the full Hessian is not positive it is of no minimum.
     """
     more = (damping + FLOOR) * jnp.eye(slopes.gradient.shape[1], dtype=damping.dtype)
 
@@ -279,9 +280,7 @@ def _descended(problem: _Problem, start: Pose) -> Pose:
         there, first = _slopes(problem, now.tried), now.made == 0
         # Where costs differ by rounding alone, the step still says where the minimum is.
         lower = first | (there.cost <= now.slopes.cost * (1 + 10 * precision))
-        best, slopes = jax.tree.map(
-            lambda new, old: jnp.where(lower, new, old), (now.tried, there), (now.best, now.slopes)
-        )
+        best, slopes = tree_where(lower, (now.tried, there), (now.best, now.slopes))
         damping = now.damping * jnp.where(first, 1.0, jnp.where(lower, EASED, RAISED))
         move = -_solved(slopes, damping)[0]
         short = jnp.max(jnp.abs(move)) < SHORT * jnp.sqrt(precision)
@@ -292,4 +291,4 @@ def _descended(problem: _Problem, start: Pose) -> Pose:
     damping, no = jnp.asarray(DAMPING, start.angles.dtype), jnp.zeros((), bool)
     begun = _Steps(jnp.zeros((), jnp.int32), start, unknown, start, damping, no)
     end = jax.lax.while_loop(unfinished, step, begun)
-    return jax.tree.map(lambda new, old: jnp.where(end.short, new, old), end.tried, end.best)
+    return tree_where(end.short, end.tried, end.best)

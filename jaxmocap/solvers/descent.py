@@ -68,10 +68,10 @@ class Problem(NamedTuple):
     """Squared residuals of x, and how x moves: by tangent vectors (N,) at it.
 
     Attributes:
-        residuals: what is given and x to (R,).
-        about: what is given and x to a ``Local``.
+        residuals: parameters and x to (R,).
+        about: parameters and x to a ``Local``.
         move: x and a tangent vector to where it leads.
-        room: what is given and x to the lowest and highest (N,) tangent vector within bounds.
+        room: parameters and x to the lowest and highest (N,) tangent vector within bounds.
     """
 
     residuals: Callable[[Any, Any], Array]
@@ -124,7 +124,7 @@ class _Progress(NamedTuple):
 
 
 def descend(
-    problem: Problem, given: Any, start: Any, steps: Array | int, damping: Array | float
+    problem: Problem, parameters: Any, start: Any, steps: Array | int, damping: Array | float
 ) -> Descent:
     """The x of least cost near a start; nothing is differentiated.
 
@@ -136,12 +136,12 @@ def descend(
 
     Args:
         problem: to solve; its functions hold no arrays.
-        given: leaves that the problem's functions take.
+        parameters: arrays that the problem's functions take.
         start: within the bounds.
         steps: at most.
         damping: of the first one: ``FIRST_DAMPING``, or ``NEAR_DAMPING``.
     """
-    like = jax.eval_shape(problem.about, given, start)
+    like = jax.eval_shape(problem.about, parameters, start)
     dtype = like.residuals.dtype
 
     def begun(start: Any, steps: Array, damping: Array) -> _Progress:
@@ -155,9 +155,9 @@ def descend(
     def ended(now: _Progress) -> Descent:
         # The last step was too short for its cost to tell.
         done = now.ended & now.short
-        return Descent(_where(done, now.tried, now.best), now.local.cost, now.ended)
+        return Descent(tree_where(done, now.tried, now.best), now.local.cost, now.ended)
 
-    leaves, tree = jax.tree.flatten(given)
+    leaves, tree = jax.tree.flatten(parameters)
 
     def stepped(leaves: list[Array], now: _Progress) -> _Progress:
         return _stepped(problem, jax.tree.unflatten(tree, leaves), now)
@@ -188,7 +188,7 @@ def descend(
                 for part, axis in zip(leaves, axes[0], strict=True)
             ]
             some = jax.tree.map(lambda part: part[rows], each)
-            made = jax.vmap(_where)(some.unfinished, steps(own, some), some)
+            made = jax.vmap(tree_where)(some.unfinished, steps(own, some), some)
             return jax.tree.map(lambda all, part: all.at[rows].set(part), each, made)
 
         each = jax.vmap(begun, axes[1:], axis_size=size)(*start)
@@ -199,22 +199,23 @@ def descend(
     return alone([jnp.asarray(constant) for constant in traced.consts], *arguments)
 
 
-def _where(condition: Array, one: Any, other: Any) -> Any:
+def tree_where(condition: Array, one: Any, other: Any) -> Any:
+    """One of two trees of arrays, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
 
 
-def _stepped(problem: Problem, given: Any, now: _Progress) -> _Progress:
+def _stepped(problem: Problem, parameters: Any, now: _Progress) -> _Progress:
     """One step further."""
     # The point is linearised as it is tried, so that this is compiled once.
-    there, first = problem.about(given, now.tried), now.damping < 0
+    there, first = problem.about(parameters, now.tried), now.damping < 0
     precision = jnp.finfo(there.cost.dtype).eps
     # Where costs differ by rounding alone, the step still says where the minimum is.
     lowered = first | now.short | (there.cost <= now.local.cost * (1 + ALIKE))
-    best, local = _where(lowered, (now.tried, there), (now.best, now.local))
+    best, local = tree_where(lowered, (now.tried, there), (now.best, now.local))
     more = jnp.maximum(NOT_LOWERED * now.damping, SHORTENED * now.shortening)
     damping = jnp.where(lowered, LOWERED * now.damping, more)
     damping = jnp.where(first, -now.damping, jnp.maximum(damping, LEAST_DAMPING))
-    move = _corrected_step(problem, given, best, local, damping)
+    move = _corrected_step(problem, parameters, best, local, damping)
     along = -jnp.vdot(local.slope, move)
     short = jnp.max(jnp.abs(move)) < SHORT * jnp.sqrt(precision)
     short &= jnp.abs(along) / 2 < precision * (LITTLE + local.cost)
@@ -226,10 +227,12 @@ def _stepped(problem: Problem, given: Any, now: _Progress) -> _Progress:
     return _Progress(now.left - 1, best, local, tried, damping, shortening, short, ended)
 
 
-def _corrected_step(problem: Problem, given: Any, x: Any, local: Local, damping: Array) -> Array:
+def _corrected_step(
+    problem: Problem, parameters: Any, x: Any, local: Local, damping: Array
+) -> Array:
     """A damped step (N,) within bounds, less what residuals bend by along it."""
     r, J, S = local
-    low, high = problem.room(given, x)
+    low, high = problem.room(parameters, x)
     slope, H = local.slope, jnp.matmul(J.T, J, precision=HIGHEST)
     sizes = jnp.diagonal(H)
     ridge = damping + jnp.finfo(slope.dtype).eps * sizes
@@ -260,7 +263,9 @@ def _corrected_step(problem: Problem, given: Any, x: Any, local: Local, damping:
     *_, moves, _, step, factor = jax.lax.while_loop(unsolved, solve, first)
     step = step * jnp.minimum(1.0, LARGEST_STEP / jnp.maximum(jnp.max(jnp.abs(step)), 1e-9))
     bent = (
-        problem.residuals(given, problem.move(x, step)) - r - jnp.matmul(J, step, precision=HIGHEST)
+        problem.residuals(parameters, problem.move(x, step))
+        - r
+        - jnp.matmul(J, step, precision=HIGHEST)
     )
     back = _solved(factor, jnp.where(moves, -jnp.matmul(bent, J, precision=HIGHEST), 0.0))
     shorter = jnp.sum(sizes * back**2) <= jnp.sum(sizes * step**2)

@@ -2,7 +2,7 @@
 
 A loop of steps has no useful derivative; the minimum x that it ends at has one. There the slope
 g(x, p) vanishes, and goes on doing so as p changes: H dx = -(dg/dp) dp. One step from the minimum,
-its Hessian H held fixed, says just that, forwards, backwards and in batches.
+its Hessian H kept fixed, says just that, forwards, backwards and in batches.
 
 INPUTS: a minimum, slopes or residuals about it. OUTPUTS: it, with its derivatives.
 """
@@ -17,12 +17,12 @@ from jax import Array
 from jax.custom_derivatives import SymbolicZero
 
 
-def following(moved: Callable[[Any, Any], Any], given: Any, x: Any) -> Any:
-    """What is given and x to x as it is, with the derivatives of ``moved(given, x)``.
+def following(moved: Callable[[Any, Any], Any], parameters: Any, x: Any) -> Any:
+    """The minimum x as it is, with the derivatives of ``moved(parameters, x)``.
 
     That function holds no arrays of its own, and is called for derivatives only.
     """
-    leaves, tree = jax.tree.flatten((given, x))
+    leaves, tree = jax.tree.flatten((parameters, x))
     return _following(moved, tree, leaves)
 
 
