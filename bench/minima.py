@@ -33,8 +33,7 @@ from jaxmocap.evidence.expansion import expanded
 from jaxmocap.evidence.limits import JointLimits
 from jaxmocap.evidence.posture import EasyPosture, LastPose, NearPose, effort_shares
 from jaxmocap.evidence.terms import Measurements, residuals
-from jaxmocap.hybrid.feet import place
-from jaxmocap.hybrid.functions import standing
+from jaxmocap.hybrid.feet import place, standing
 from jaxmocap.hybrid.ik import goals_of, reach
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.solvers.least_squares import least_squares

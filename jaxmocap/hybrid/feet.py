@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import Frames, forward, site_positions
+from jaxmocap.body.kinematics import Frames, forward, landmark_sites, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
@@ -123,3 +123,10 @@ def landmark_above(skeleton: Skeleton, frames: Frames) -> Array:
     return frames.joints_world[head] + jnp.matmul(
         frames.R_world_bone[head], along, precision=HIGHEST
     )
+
+
+def standing(model: Model, pose: Pose) -> FootPlacement:
+    """The feet as a pose has them."""
+    ankles = landmark_sites(model.skeleton, ("ankle_l", "ankle_r"))
+    points = site_positions(model.skeleton, forward(model.skeleton, pose), ankles)
+    return FootPlacement(points, jnp.zeros((), bool))

@@ -23,7 +23,7 @@ from jax import Array
 
 from jaxmocap.body import kinematics
 from jaxmocap.body.arms import Arms, arms_of
-from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
+from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.compilation.arguments import check_kind, check_shape
@@ -38,7 +38,7 @@ from jaxmocap.evidence.shapes import (
     in_precision,
 )
 from jaxmocap.hybrid.elbow_search import no_belief
-from jaxmocap.hybrid.feet import FootPlacement
+from jaxmocap.hybrid.feet import standing
 from jaxmocap.hybrid.fit import Aims, arms_at_minimum, refine_arms, refine_body
 from jaxmocap.hybrid.ik import goals_of, solve_ik
 from jaxmocap.hybrid.observe import arm_regions, edge_fields, no_thresholds
@@ -111,13 +111,6 @@ def solve(
 def _solved(model: Model, settings: Settings, markers: Array, start: Pose | None) -> Pose:
     before = nowhere(model) if start is None else (start, standing(model, start))
     return solve_ik(model, settings.ik, *before, markers).pose
-
-
-def standing(model: Model, pose: Pose) -> FootPlacement:
-    """The feet as a pose has them."""
-    ankles = landmark_sites(model.skeleton, ("ankle_l", "ankle_r"))
-    points = site_positions(model.skeleton, forward(model.skeleton, pose), ankles)
-    return FootPlacement(points, jnp.zeros((), bool))
 
 
 class Observation(NamedTuple):
