@@ -184,7 +184,7 @@ def optimistixs(model: Model, settings: Settings, aim: Objective) -> Pose:
     priced = (*terms(settings), JointLimits())
     found = least_squares(
         lambda x, _: residuals(priced, model, retract(aim.start, scale * x), aim.measured),
-        jnp.zeros_like(scale), largest_steps=1000, relative=1e-6, absolute=1e-6,
+        jnp.zeros_like(scale), largest_steps=1000, tolerance=1e-6,
     )  # fmt: skip
     pose, limits = retract(aim.start, scale * found.point), model.skeleton.limits
     return pose._replace(angles=jnp.clip(pose.angles, *limits.T))

@@ -16,10 +16,12 @@ from jax import Array
 
 from jaxmocap.body.arms import Arms, arm_dofs, flesh, hang, swing
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, beyond_limits, retract
+from jaxmocap.body.pose import Pose, beyond_limits, difference, retract
 from jaxmocap.evidence.edges import EdgeFields, WeightedEdges
+from jaxmocap.evidence.expansion import expanded
 from jaxmocap.evidence.markers import Goals, off_targets
-from jaxmocap.evidence.terms import residuals
+from jaxmocap.evidence.terms import Measurements, Term, residuals
+from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.hybrid.minimum import at_minimum
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.solvers.optimum import curved_step, following
@@ -28,6 +30,9 @@ from jaxmocap.solvers.status import Status
 
 # A degree of freedom that is held may move by this share of its prior.
 HELD = 1e-3
+# Where the minimum itself is asked for: steps at most, and its tolerance by the bytes of a number.
+MOST_STEPS = 100
+TOLERANCES = {4: 1e-4, 8: 1e-9}
 
 
 class Aims(NamedTuple):
@@ -97,24 +102,57 @@ def _descended(
     measured = {"edges": edges, "goals": aims.goals, "centre": aims.centre}
     if settings.search:
         measured["elbows"] = aims.elbows
-    held, about, given, origin = jax.lax.stop_gradient((model, terms, measured, start))
     scale = own.near.deviations(model.skeleton)
     if aims.free is not None:
         scale = scale * jnp.where(aims.free, 1.0, HELD)
-    scale = jax.lax.stop_gradient(scale)
-
-    def whitened(point: Array, _: None) -> Array:
-        return residuals(about, held, retract(origin, scale * point), given)
-
+    about = jax.lax.stop_gradient(_About(model, terms, measured, start, scale))
     found = least_squares(
-        whitened, jnp.zeros_like(scale), method=own.method, largest_steps=own.steps,
-        relative=own.tolerance, absolute=own.tolerance,
-    )  # fmt: skip
-    pose = retract(origin, scale * found.point)
+        _off_minimum,
+        jnp.zeros_like(scale),
+        about,
+        method=own.method,
+        largest_steps=MOST_STEPS if exact else own.steps,
+        tolerance=TOLERANCES[scale.dtype.itemsize] if exact else own.tolerance,
+    )
+    pose = about.pose(found.point)
     pose = pose._replace(angles=jnp.clip(pose.angles, low, high))
     if exact:
         pose = at_minimum(model, terms, measured, pose, aims.free)
     return pose, found.status
+
+
+class _About(NamedTuple):
+    """What the residuals depend on, and poses about the start.
+
+    Attributes:
+        scale: (6 + D,) of the tangent vector whose entry of the descent's point is 1.
+    """
+
+    model: Model
+    terms: tuple[Term, ...]
+    measured: Measurements
+    start: Pose
+    scale: Array
+
+    def pose(self, point: Array) -> Pose:
+        """The pose at a point (6 + D,) of the descent."""
+        return retract(self.start, self.scale * point)
+
+
+@jax.custom_jvp
+def _off_minimum(point: Array, about: _About) -> Array:
+    return residuals(about.terms, about.model, about.pose(point), about.measured)
+
+
+@_off_minimum.defjvp
+def _off_minimum_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    """By the formulas of the body's derivatives; nothing but the point moves."""
+    (point, about), (change, _) = primals, tangents
+    model, terms, measured, _, _ = about
+    there = about.pose(point)
+    r, J, _ = expanded(terms, model, there, measured, bends=False)
+    step = jax.jvp(lambda point: difference(about.pose(point), there), (point,), (change,))[1]
+    return r, jnp.matmul(J, step, precision=HIGHEST)
 
 
 # Costs (2) of both arms, from arms and their (2, 4) joint angles.

@@ -87,13 +87,8 @@ def pose_at_minimum(
 def at_minimum(
     model: Model, terms: Sequence[Term], measured: Measurements, pose: Pose, free: Array | None
 ) -> Pose:
-    """The minimum beside where another descent ended, with its derivatives; see above.
-
-    It takes no second derivatives but for its own derivatives: most terms have no formula for them.
-    """
-    evidence = _Evidence(model, tuple(terms), measured, free)
-    constant = jax.lax.stop_gradient((evidence, pose))
-    return following(_moved, evidence, descend(_LINEAR, *constant, STEPS, NEAR_DAMPING).x)
+    """A pose where another descent ended, with the derivatives of the minimum beside it."""
+    return following(_moved, _Evidence(model, tuple(terms), measured, free), pose)
 
 
 class _Evidence(NamedTuple):
@@ -124,13 +119,7 @@ def _room(evidence: _Evidence, pose: Pose) -> tuple[Array, Array]:
     return jnp.where(free, low, 0.0), jnp.where(free, high, 0.0)
 
 
-def _straight(evidence: _Evidence, pose: Pose) -> Local:
-    model, terms, measured, _ = evidence
-    return Local(*expanded(terms, model, pose, measured, bends=False))
-
-
 _PROBLEM = Problem(_residuals, _local, retract, _room)
-_LINEAR = _PROBLEM._replace(about=_straight)
 
 
 def _lowest(

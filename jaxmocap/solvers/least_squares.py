@@ -44,8 +44,7 @@ def least_squares(
     *,
     method: Method = "levenberg-marquardt",
     largest_steps: int = 30,
-    relative: float = 1e-3,
-    absolute: float = 1e-3,
+    tolerance: float = 1e-3,
 ) -> LeastSquaresResult:
     """Minimise half the sum of squared residuals, usable inside jit and vmap.
 
@@ -57,21 +56,23 @@ def least_squares(
         args: what else the residuals take; the solution is differentiable by it.
         method: static.
         largest_steps: static.
-        relative: a solve has converged when neither its point nor its residuals change by more
-            than this share of their largest entry, and
-        absolute: this.
+        tolerance: a solve has converged when neither its point nor its residuals change by more
+            than this, and this share of their largest entry.
     """
     # Its own numbers are of JAX's present precision, whatever the start's.
     wide, own = jnp.result_type(float), start.dtype
 
-    def widened(point: Array, args: Any) -> Array:
-        return residuals(point.astype(own), args).astype(wide)
+    # It masks trees with booleans, which our records refuse.
+    leaves, tree = jax.tree.flatten(args)
+
+    def widened(point: Array, leaves: list[Array]) -> Array:
+        return residuals(point.astype(own), jax.tree.unflatten(tree, leaves)).astype(wide)
 
     solution = optimistix.least_squares(
         widened,
-        _solver(method, relative, absolute),
+        _solver(method, tolerance),
         jax.lax.stop_gradient(start).astype(wide),
-        args,
+        leaves,
         max_steps=largest_steps,
         throw=False,
     )
@@ -88,10 +89,10 @@ def least_squares(
     )
 
 
-def _solver(method: Method, relative: float, absolute: float) -> Any:
+def _solver(method: Method, tolerance: float) -> Any:
     if method == "bfgs":
-        return optimistix.BFGS(relative, absolute)
+        return optimistix.BFGS(tolerance, tolerance)
     linear = lineax.QR()
     if method == "gauss-newton":
-        return optimistix.GaussNewton(relative, absolute, linear_solver=linear)
-    return optimistix.LevenbergMarquardt(relative, absolute, linear_solver=linear)
+        return optimistix.GaussNewton(tolerance, tolerance, linear_solver=linear)
+    return optimistix.LevenbergMarquardt(tolerance, tolerance, linear_solver=linear)

@@ -66,7 +66,7 @@ def test_every_method_finds_the_minimum_that_scipy_finds(name, method):
         actual = jax.jit(
             lambda start: least_squares(
                 lambda x, _: problem.residuals(x, jnp), start, method=method,
-                largest_steps=400, relative=1e-6, absolute=1e-6,
+                largest_steps=400, tolerance=1e-6,
             )
         )(jnp.asarray(problem.start))  # fmt: skip
     assert int(actual.status) == Status.CONVERGED
@@ -130,7 +130,7 @@ def test_the_solution_moves_with_its_parameters_as_finite_differences_say(method
         def solution(p):
             return least_squares(
                 residuals, jnp.array([1.8, 1.3]), p, method=method,
-                largest_steps=500, relative=1e-9, absolute=1e-9,
+                largest_steps=500, tolerance=1e-9,
             ).point  # fmt: skip
 
         solve, step = jax.jit(solution), 1e-3
