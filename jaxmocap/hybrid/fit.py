@@ -105,7 +105,7 @@ def _descended(
     scale = own.near.deviations(model.skeleton)
     if aims.free is not None:
         scale = scale * jnp.where(aims.free, 1.0, HELD)
-    about = jax.lax.stop_gradient(_About(model, terms, measured, start, scale))
+    about = jax.lax.stop_gradient(_OffEdges(model, terms, measured, start, scale))
     found = least_squares(
         _off_minimum,
         jnp.zeros_like(scale),
@@ -121,7 +121,7 @@ def _descended(
     return pose, found.status
 
 
-class _About(NamedTuple):
+class _OffEdges(NamedTuple):
     """What the residuals depend on, and poses about the start.
 
     Attributes:
@@ -140,7 +140,7 @@ class _About(NamedTuple):
 
 
 @jax.custom_jvp
-def _off_minimum(point: Array, about: _About) -> Array:
+def _off_minimum(point: Array, about: _OffEdges) -> Array:
     return residuals(about.terms, about.model, about.pose(point), about.measured)
 
 
