@@ -22,7 +22,7 @@ from jaxmocap.evidence.expansion import expanded
 from jaxmocap.evidence.markers import Goals, off_targets
 from jaxmocap.evidence.terms import Measurements, Term, residuals
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.hybrid.minimum import at_minimum
+from jaxmocap.hybrid.minimum import pose_at_minimum
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.solvers.optimum import curved_step, following
 from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
@@ -30,9 +30,6 @@ from jaxmocap.solvers.status import Status
 
 # A degree of freedom that is held may move by this share of its prior.
 HELD = 1e-3
-# Where the minimum itself is asked for: steps at most, and its tolerance by the bytes of a number.
-MOST_STEPS = 100
-TOLERANCES = {4: 1e-4, 8: 1e-9}
 
 
 class Aims(NamedTuple):
@@ -77,8 +74,8 @@ def refine_body(
         edges: of both arms, and how much each point of an outline counts.
         start: a pose.
         aims: what else is to be met.
-        exact: go on from where the descent rests to the minimum itself, whose derivatives the pose
-            then has.
+        exact: go to the minimum itself, whose derivatives the pose then has; else optimistix ends
+            where ``settings.gradient`` says.
     """
     return jax.lax.cond(
         jnp.any(jnp.asarray(edges.fields.available)),
@@ -102,23 +99,18 @@ def _descended(
     measured = {"edges": edges, "goals": aims.goals, "centre": aims.centre}
     if settings.search:
         measured["elbows"] = aims.elbows
+    if exact:
+        return pose_at_minimum(model, terms, measured, start, free=aims.free, bends=False)
     scale = own.near.deviations(model.skeleton)
     if aims.free is not None:
         scale = scale * jnp.where(aims.free, 1.0, HELD)
     about = jax.lax.stop_gradient(_OffEdges(model, terms, measured, start, scale))
     found = least_squares(
-        _off_minimum,
-        jnp.zeros_like(scale),
-        about,
-        method=own.method,
-        largest_steps=MOST_STEPS if exact else own.steps,
-        tolerance=TOLERANCES[scale.dtype.itemsize] if exact else own.tolerance,
-    )
+        _off_minimum, jnp.zeros_like(scale), about, method=own.method, largest_steps=own.steps,
+        tolerance=own.tolerance,
+    )  # fmt: skip
     pose = about.pose(found.point)
-    pose = pose._replace(angles=jnp.clip(pose.angles, low, high))
-    if exact:
-        pose = at_minimum(model, terms, measured, pose, aims.free)
-    return pose, found.status
+    return pose._replace(angles=jnp.clip(pose.angles, low, high)), found.status
 
 
 class _OffEdges(NamedTuple):

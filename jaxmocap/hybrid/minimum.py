@@ -61,6 +61,7 @@ def pose_at_minimum(
     free: Array | None = None,
     steps: int = STEPS,
     is_near: Array | bool = False,
+    bends: bool = True,
 ) -> tuple[Pose, Array]:
     """The pose near ``start`` that costs least, and a ``Status``.
 
@@ -77,18 +78,15 @@ def pose_at_minimum(
         free: (6 + D,) degrees of freedom that may move; all without it.
         steps: of the descent, at most.
         is_near: whether the minimum lies about the start.
+        bends: whether the descent looks at second derivatives, which take long to compile for terms
+            without formulas.
     """
     evidence = _Evidence(model, tuple(terms), measured, free)
     held = jax.lax.stop_gradient((evidence, start, other))
-    pose, status = jax.lax.stop_gradient(_lowest(*held, steps, is_near))
+    pose, status = jax.lax.stop_gradient(
+        _lowest(_PROBLEM if bends else _LINEAR, *held, steps, is_near)
+    )
     return following(_moved, evidence, pose), status
-
-
-def at_minimum(
-    model: Model, terms: Sequence[Term], measured: Measurements, pose: Pose, free: Array | None
-) -> Pose:
-    """A pose where another descent ended, with the derivatives of the minimum beside it."""
-    return following(_moved, _Evidence(model, tuple(terms), measured, free), pose)
 
 
 class _Evidence(NamedTuple):
@@ -119,11 +117,22 @@ def _room(evidence: _Evidence, pose: Pose) -> tuple[Array, Array]:
     return jnp.where(free, low, 0.0), jnp.where(free, high, 0.0)
 
 
+def _straight(evidence: _Evidence, pose: Pose) -> Local:
+    model, terms, measured, _ = evidence
+    return Local(*expanded(terms, model, pose, measured, bends=False))
+
+
 _PROBLEM = Problem(_residuals, _local, retract, _room)
+_LINEAR = _PROBLEM._replace(about=_straight)
 
 
 def _lowest(
-    evidence: _Evidence, start: Pose, other: Another | None, steps: int, is_near: Array | bool
+    problem: Problem,
+    evidence: _Evidence,
+    start: Pose,
+    other: Another | None,
+    steps: int,
+    is_near: Array | bool,
 ) -> tuple[Pose, Array]:
     """The end of the descents, nothing differentiated."""
     low, high = evidence.model.skeleton.limits.T
@@ -131,7 +140,7 @@ def _lowest(
 
     def descended(start: Pose, steps: Array | int) -> Descent:
         within = start._replace(angles=jnp.clip(start.angles, low, high))
-        return descend(_PROBLEM, evidence, within, steps, damping)
+        return descend(problem, evidence, within, steps, damping)
 
     if other is None:
         end = descended(start, steps)
