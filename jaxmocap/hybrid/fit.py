@@ -104,17 +104,17 @@ def _descended(
     scale = own.near.deviations(model.skeleton)
     if aims.free is not None:
         scale = scale * jnp.where(aims.free, 1.0, HELD)
-    about = jax.lax.stop_gradient(_OffEdges(model, terms, measured, start, scale))
+    about = jax.lax.stop_gradient(_FromStart(model, terms, measured, start, scale))
     found = least_squares(
-        _off_minimum, jnp.zeros_like(scale), about, method=own.method, largest_steps=own.steps,
+        _whitened, jnp.zeros_like(scale), about, method=own.method, largest_steps=own.steps,
         tolerance=own.tolerance,
     )  # fmt: skip
     pose = about.pose(found.point)
     return pose._replace(angles=jnp.clip(pose.angles, low, high)), found.status
 
 
-class _OffEdges(NamedTuple):
-    """What the residuals depend on, and poses about the start.
+class _FromStart(NamedTuple):
+    """What the residuals depend on, and poses by their way from the start.
 
     Attributes:
         scale: (6 + D,) of the tangent vector whose entry of the descent's point is 1.
@@ -132,12 +132,12 @@ class _OffEdges(NamedTuple):
 
 
 @jax.custom_jvp
-def _off_minimum(point: Array, about: _OffEdges) -> Array:
+def _whitened(point: Array, about: _FromStart) -> Array:
     return residuals(about.terms, about.model, about.pose(point), about.measured)
 
 
-@_off_minimum.defjvp
-def _off_minimum_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+@_whitened.defjvp
+def _whitened_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     """By the formulas of the body's derivatives; nothing but the point moves."""
     (point, about), (change, _) = primals, tangents
     model, terms, measured, _, _ = about

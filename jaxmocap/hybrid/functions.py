@@ -184,8 +184,9 @@ def refine(model: Model, settings: Settings, pose: Pose, observation: Observatio
     """The pose whose arms lie on the edges that were observed (section 5.2).
 
     Markers stay where the pose has them. With ``settings.refine`` "gradient" the whole body goes to
-    the minimum of ``settings.gradient_terms``. With "simplex" the body follows the elbows, and
-    each arm goes where the downhill simplex ends. Its iterations have no derivative; the minimum
+    the minimum of ``settings.gradient_terms`` (the tracker ends near it, where its method, steps
+    and tolerance say). With "simplex" the body follows the elbows, and each arm goes where the
+    downhill simplex ends. Its iterations have no derivative; the minimum
     beside which it ends has one, by the cost's own Hessian, and 0 in directions in which it is not
     curved upwards. With "search" the body follows the elbows only. With "none", or without an
     image, the pose stays.

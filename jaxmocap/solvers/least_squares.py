@@ -62,7 +62,7 @@ def least_squares(
     # Its own numbers are of JAX's present precision, whatever the start's.
     wide, own = jnp.result_type(float), start.dtype
 
-    # It masks trees with booleans, which our records refuse.
+    # Optimistix masks trees with booleans, which our settings refuse.
     leaves, tree = jax.tree.flatten(args)
 
     def widened(point: Array, leaves: list[Array]) -> Array:
