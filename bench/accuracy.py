@@ -14,8 +14,8 @@ import argparse
 import math
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import get_args, get_type_hints
 
 import numpy as np
 
@@ -25,9 +25,9 @@ from bench.criteria import covered, criteria, pool, table
 from bench.evaluation import Result, evaluate_clip
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.evaluation.errors import Errors
+from jaxmocap.formats.settings_file import read_settings
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.kept_programs import keep_compiled
-from jaxmocap.pipelines.tracking.track import choose_settings
 
 SPREAD = ["mean", "median", "95 %", ">0.3 Hz"]
 ERROR_HEADINGS = [
@@ -114,6 +114,14 @@ def metrics(result: Result) -> list[Metric]:
     return [metric for metric in listed if math.isfinite(metric.value)]
 
 
+def mean_metrics(group: str, results: list[Result]) -> Iterator[Metric]:
+    """Means over a group's recordings."""
+    for way in ("alone", "video"):
+        mean = np.mean([getattr(result, way).mean for result in results])
+        name = f"{group}, elbows, {'markers' if way == 'alone' else way}, mean"
+        yield Metric(name, 100 * float(mean), "cm", tolerance=0.05)
+
+
 def report(groups: dict[str, list[Result]], causal: bool) -> str:
     """All tables."""
     errors, calm, parts = list(ERROR_HEADINGS), list(CALM_HEADINGS), []
@@ -163,8 +171,7 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     add("--noise", type=float, default=0.0, help="on the markers, metres, such as 0.005")
     add("--causal", action="store_true", help="as a live run would have it")
-    choices = get_args(get_type_hints(Settings)["refine"])
-    add("--refine", choices=choices, default=Settings().refine, help="what follows the search")
+    add("--settings", metavar="FILE.toml", help="as of 'jaxmocap track'")
     add(
         "--only", type=kinds, default=list(USUAL), metavar="KIND,...",
         help=f"of {', '.join(KINDS)}; usually {', '.join(USUAL)}",
@@ -177,7 +184,9 @@ def parser() -> argparse.ArgumentParser:
 def main() -> None:
     options = parser().parse_args()
     keep_compiled()
-    settings, mode = choose_settings(options.refine), "causal" if options.causal else "own"
+    settings, mode = Settings(), "causal" if options.causal else "own"
+    if options.settings:
+        settings = read_settings(options.settings, settings)
     groups: dict[str, list[Result]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for group, clips in chosen_clips(options, Path(options.keep or folder)).items():
@@ -188,8 +197,9 @@ def main() -> None:
                 )
     print(report(groups, options.causal))
     if options.json:
-        every = (metric for results in groups.values() for r in results for metric in metrics(r))
-        write_json(every, options.json)
+        every = [metric for results in groups.values() for r in results for metric in metrics(r)]
+        means = (m for group, results in groups.items() for m in mean_metrics(group, results))
+        write_json([*every, *means], options.json)
 
 
 if __name__ == "__main__":

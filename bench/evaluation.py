@@ -21,7 +21,7 @@ from jaxmocap.evaluation.series import sample_step
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.pipelines.tracking.track import choose_settings, track
+from jaxmocap.pipelines.tracking.track import track
 
 FEET = ("ankle", "toe")  # parts of their markers' names
 
@@ -94,7 +94,7 @@ def evaluate_clip(clip: Clip, settings: Settings, mode: Mode = "own", noise: flo
         noise: standard deviation of white noise on every coordinate of the markers, metres.
     """
     recording = shaken(Recording.load(clip.path), noise, clip.seed)
-    alone = track(recording, choose_settings("none"), mode=mode)
+    alone = track(recording, Settings(refine="none", smooth=False), mode=mode)
     video = track(recording, settings, mode=mode)
     assert video.report is not None
     upper = [not any(foot in name.lower() for foot in FEET) for name in video.report.markers]

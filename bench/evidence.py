@@ -37,6 +37,7 @@ from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.geometry.cameras import Camera, project
+from jaxmocap.hybrid.paper.chamfer import Chamfer
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -74,9 +75,7 @@ BEFORE = "edges by direction, before a learned background"
 PAPER = "the paper's way"
 FRAME_BY_FRAME = {
     PAPER: Settings.paper(),
-    "areas on plain edges": replace(
-        Settings(), smooth=False, edges=replace(EdgeEvidence(), compared="coverage")
-    ),
+    "areas on plain edges": Settings(smooth=False, directions=1, edges=Chamfer(drawn=False)),
     "plain edges": replace(Settings(), smooth=False, directions=1),
     "edges by direction, not truncated": replace(
         Settings(), smooth=False, edges=replace(EdgeEvidence(), truncation=1.0)
@@ -94,29 +93,26 @@ QUICK, QUICK_SECONDS = ("silhouettes, colours, key points",), 0.5
 
 @dataclass(frozen=True)
 class FirstRun:
-    """A recording, tracked frame by frame in the usual way, and by the search alone."""
+    """A recording, tracked frame by frame in the usual way."""
 
     recording: Recording
     tracker: HybridTracker
     videos: list[FrameSource]
     events: RecordingEvents
     first_pass: FirstPass
-    searched: FirstPass
 
     @classmethod
     def through(cls, recording: Recording) -> "FirstRun":
         """Track it."""
         videos, _ = open_footage(recording)
         tracker, events = make_tracker(recording), RecordingEvents.of(recording, videos, "own")
-        passes = []
-        for each in (tracker, tracker.by_search()):
-            with forward_readers(videos) as readers:
-                passes.append(scanned(events, each, readers, lambda done, total: None, Clock()))
-        return cls(recording, tracker, videos, events, *passes)
+        with forward_readers(videos) as readers:
+            first = scanned(events, tracker, readers, lambda done, total: None, Clock())
+        return cls(recording, tracker, videos, events, first)
 
     def smoothed(self, kind: Kind) -> Motion:
         """What the second pass makes of some kind of evidence."""
-        first, model = self.searched, self.tracker.model
+        first, model = self.first_pass, self.tracker.model
         if kind.points:
             points, line = open_all_keypoints(self.recording, self.videos), self.events.timeline
             lines = lines_at_events(self.recording, points, line, first.reports.marker_pose)

@@ -77,10 +77,7 @@ def measure(folder: Path, seed: int) -> LengthErrors:
 def logarithms(person: Skeleton, stated: Skeleton) -> np.ndarray:
     """(P,) of the factors that make one person's ``LENGTHS`` of another's."""
     ratio = np.log(np.asarray(person.lengths) / np.asarray(stated.lengths))
-    bones = stated.tree.bones
-    return np.array(
-        [np.mean([ratio[i] for i, b in enumerate(bones) if b.startswith(p.bones)]) for p in LENGTHS]
-    )
+    return np.array([np.mean(ratio[np.array(stated.tree.bones_in(*p.bones))]) for p in LENGTHS])
 
 
 def _elbows(recording: Recording, body: Skeleton, where: Path) -> float:

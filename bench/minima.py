@@ -29,6 +29,7 @@ from jaxmocap import LANDMARKS, Model, Recording, Settings, Skeleton, landmarks,
 from jaxmocap.body.kinematics import forward, landmark_sites
 from jaxmocap.body.model import on_unmarked_feet
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
+from jaxmocap.body.skeleton import WINTER
 from jaxmocap.evidence.expansion import expanded
 from jaxmocap.evidence.limits import JointLimits
 from jaxmocap.evidence.posture import EasyPosture, LastPose, NearPose, effort_shares
@@ -74,7 +75,7 @@ def filmed(folder: Path | None) -> Iterator[tuple[Model, np.ndarray]]:
     for seed, (movement, stature) in enumerate(PEOPLE):
         times = np.arange(0, SECONDS, 1 / RATE_HZ)
         truth = movement(SECONDS, seed=seed, height=stature).landmarks(times)
-        skeleton = Skeleton.human(stature)
+        skeleton = Skeleton.human(stature, proportions=WINTER)
         for count in (3, 5):
             model = Model.create(skeleton, landmark_sites(skeleton, NAMES[:count]))
             markers = np.stack([truth[name] for name in NAMES[:count]], 1)

@@ -106,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.json:
         pairs = zip(("off", "on"), results["mean"], strict=True)
         write_json(
-            [Metric(f"raised skin {state}", 100 * value, "cm") for state, value in pairs],
+            [Metric(f"raised skin {state}", 1000 * value, "mm") for state, value in pairs],
             options.json,
         )
 

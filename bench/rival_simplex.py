@@ -17,7 +17,7 @@ import optimistix
 from scipy.optimize import minimize
 
 from bench.clock import interleaved, ratio
-from bench.metrics import Metric, stage_metrics
+from bench.metrics import OF_OTHERS, Metric, stage_metrics
 from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
 
 SIDE, POINTS, ARMS, HINGES = 160, 25, 2, 4
@@ -114,7 +114,7 @@ def measure(quick: bool) -> Iterator[Metric]:
         yield Metric(f"simplex, worse arm's cost, {name}", worst, "px")
     for name in ("scipy", "optimistix"):
         faster = ratio(spans[name], spans["ours"])
-        yield Metric(f"simplex_{name}_over_ours", faster, "x", "higher")
+        yield Metric(f"simplex_{name}_over_ours", faster, "x", "higher", OF_OTHERS)
 
 
 def ours(fields: np.ndarray, grips: np.ndarray) -> Callable[[], np.ndarray]:

@@ -92,6 +92,13 @@ def track_exercise(clip: Clip, cameras: int, settings: Settings, every: int = 1)
 
     Of its frames one in ``every`` is kept.
     """
+    return evaluated(clip, *prepared(clip, cameras, settings, every), settings)
+
+
+def prepared(
+    clip: Clip, cameras: int, settings: Settings, every: int = 1
+) -> tuple[Recording, Pose]:
+    """A rendered recording by its first cameras, and its first pose, both by the truth."""
     truth = read_trc(clip.truth).points()
     recording = Recording.load(clip.path)
     recording = replace(
@@ -101,8 +108,7 @@ def track_exercise(clip: Clip, cameras: int, settings: Settings, every: int = 1)
     )
     missing = np.full(3, np.nan)
     first = np.array([truth[name][0] if name in truth else missing for name in LANDMARKS])
-    start = pose_at_landmarks(with_joints(recording.skeleton, settings.body), first)
-    return evaluated(clip, recording, start, settings)
+    return recording, pose_at_landmarks(with_joints(recording.skeleton, settings.body), first)
 
 
 def thinned(video: VideoSource, every: int) -> VideoSource:

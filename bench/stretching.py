@@ -12,7 +12,7 @@ from itertools import pairwise
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import WINTER, Skeleton
 from jaxmocap.synthetic.movements.motions import STANDING, Performance, spline_through
 from jaxmocap.synthetic.people.figure import Figure, Posture
 
@@ -49,7 +49,7 @@ def stretching(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Per
 
 def unusual(height: float, rng: np.random.Generator) -> Figure:
     """A person of this stature whose lengths are not the mean's."""
-    usual = Skeleton.human(height)
+    usual = Skeleton.human(height, proportions=WINTER)
     bones, lengths = usual.tree.bones, np.array(usual.lengths, float)
     for starts, spread in SPREADS.items():
         lengths[[name.startswith(starts) for name in bones]] *= 1 + spread * rng.normal()

@@ -93,6 +93,16 @@ def on_device(tree, dtype=None):
     return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), dtype or float), tree)
 
 
+def in_double(tree):
+    """Floating-point leaves in float64, all else as it is; call it where that is enabled."""
+
+    def convert(leaf):
+        array = np.asarray(leaf)
+        return jnp.asarray(array, float) if np.issubdtype(array.dtype, np.floating) else leaf
+
+    return jax.tree.map(convert, tree)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def kept_programs():
     """Programs are kept as by the commands, so that these, too, share what tests have compiled."""

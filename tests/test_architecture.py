@@ -42,7 +42,7 @@ ALLOWED = {
     "solvers": set(),
     "compilation": set(),
     "reference": set(),
-    "images": {"geometry"},
+    "images": {"geometry", "compilation"},
     # Neither tracker imports the other.
     "silhouette": set(ROOMS[: ROOMS.index("hybrid")]),
     "modelling": {"geometry", "body", "images"},

@@ -46,7 +46,7 @@ PARAMETERS = {
     "HybridTracker.init": ["self", "markers_world"],
     "HybridTracker.step": ["self", "state", "time", "markers_world", "images", "clock"],
     "Recording.load": ["path"],
-    "Skeleton.human": ["height", "mass"],
+    "Skeleton.human": ["height", "mass", "proportions"],
     "Motion.joints": ["self"],
     "Model.of": ["recording"],
     "Model.with_lengths": ["self", "lengths"],

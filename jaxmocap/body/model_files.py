@@ -13,6 +13,7 @@ from importlib import resources
 from pathlib import Path
 
 HUMAN = "human.toml"
+_PROPORTIONS = "proportions.toml"
 # Joints that a full set of markers determines beyond those of ``HUMAN``.
 MARKED = "markers.toml"
 
@@ -62,6 +63,30 @@ def landmark_rows_of(name: str | Path) -> list[dict]:
 def surface_rows_of(name: str | Path) -> list[dict]:
     """The patches of the surface that a body has, and how far up; none where it has them all."""
     return _data(name).get("surface", [])
+
+
+@cache
+def proportions_of(name: str) -> dict:
+    """A body's lengths over its stature, by the name of their table in ``proportions.toml``.
+
+    Raises:
+        KeyError: no such table; the message lists them.
+    """
+    data = _data(_PROPORTIONS)
+    names = [key for key in data if "lengths" in data[key]]
+    if name not in names:
+        raise KeyError(f"found {name!r}, expected one of {', '.join(names)}")
+    return data[name]
+
+
+def mass_fractions() -> dict[str, float]:
+    """Part -> its share of the body's mass."""
+    return _data(_PROPORTIONS)["masses"]
+
+
+def habits_of(name: str) -> dict:
+    """What people do, by the name of a file in ``body/data``."""
+    return _data(name)
 
 
 @cache

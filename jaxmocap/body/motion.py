@@ -3,7 +3,9 @@
 Plain NumPy arrays and text: nothing here is traced.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +16,10 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.geometry.origin import local_origin
 
-# Poses at least in one call of the landmarks' function.
-FEWEST = 64
+# A report's arrays with a row for each sample.
+SAMPLED = ("marker_errors", "arm_costs", "swivels", "landmarks_std", "from_prior")
+# Poses in one call of a function over a motion, at least and at most.
+FEWEST, MOST = 64, 16384
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,26 @@ class Motion:
         return {name: points[:, i] for i, name in enumerate(LANDMARKS)}
 
 
+def every_nth(motion: Motion, n: int) -> Motion:
+    """One sample in n; a report's statuses are those of all n."""
+    if n == 1:
+        return motion
+    report = motion.report
+    if report is not None:
+        starts = range(0, len(report.statuses), n)
+        report = replace(
+            report,
+            **{name: np.asarray(getattr(report, name))[::n] for name in SAMPLED},
+            statuses=tuple(
+                tuple(dict.fromkeys(line for lines in report.statuses[i : i + n] for line in lines))
+                for i in starts
+            ),
+            milliseconds={stage: spent[::n] for stage, spent in report.milliseconds.items()},
+        )
+    poses = Pose(*(np.asarray(part)[::n] for part in motion.poses))  # type: ignore[arg-type]
+    return replace(motion, times=motion.times[::n], poses=poses, report=report)
+
+
 def near_origin(motion: Motion) -> Motion:
     """A motion whose poses are in the world, seen from a local origin if that is far away."""
     origin = local_origin(motion.positions_world)
@@ -110,11 +134,26 @@ def _moved(points: np.ndarray, origin_world: np.ndarray) -> np.ndarray:
 
 def landmarks_over_time(skeleton: Skeleton, poses: Pose) -> np.ndarray:
     """Positions (T, L, 3) of the ``LANDMARKS``, world, metres, of poses (T, ...)."""
+    return in_blocks(_over_time, skeleton, poses)
+
+
+def in_blocks(function: Callable[[Skeleton, Pose], Any], skeleton: Skeleton, poses: Pose) -> Any:
+    """What a function makes of poses (T, ...), called with some at a time: memory is bounded.
+
+    Args:
+        function: of a skeleton and poses (N, ...), to a tree of arrays (N, ...).
+        skeleton: of the poses.
+        poses: at least one.
+    """
     count = len(poses.angles)
     # Motions of many lengths share few compilations: the last pose fills up to a power of two.
-    rows = np.minimum(np.arange(max(FEWEST, 1 << (count - 1).bit_length())), count - 1)
-    filled = (jnp.asarray(np.asarray(part, float)[rows], float) for part in poses)
-    return np.asarray(_over_time(skeleton, Pose(*filled)))[:count]
+    size = min(max(FEWEST, 1 << (count - 1).bit_length()), MOST)
+    blocks = []
+    for first in range(0, count, size):
+        rows = np.minimum(np.arange(first, first + size), count - 1)
+        filled = (jnp.asarray(np.asarray(part)[rows], float) for part in poses)
+        blocks.append(jax.tree.map(np.asarray, function(skeleton, Pose(*filled))))
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *blocks)
 
 
 # Of the module, so that motions of one skeleton share them.

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.model_files import proportions_of
+from jaxmocap.body.skeleton import JOINT_CENTRES, Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints
 
 
@@ -34,17 +35,18 @@ PROPORTIONS = (
     Proportion("trunk length", ("spine",), 0.08),
     Proportion("shoulder breadth", ("shoulder",), 0.08),
 )
-# All that a clip made for it may correct. Lengths vary less among people of one stature than where
-# authors place the joints; both are in these deviations.
+_AMONG_PEOPLE = proportions_of(JOINT_CENTRES)["deviation"]
+# All that a clip made for it may correct: people of one stature differ, and so do authors on where
+# joints are.
 LENGTHS = (
     *PROPORTIONS,
-    Proportion("neck and head", ("head",), 0.05),
-    Proportion("upper arm", ("upper_arm",), 0.05),
-    Proportion("forearm", ("forearm",), 0.05),
-    Proportion("hand", ("hand",), 0.05),
-    Proportion("hip breadth", ("hip",), 0.08),
-    Proportion("thigh", ("thigh",), 0.05),
-    Proportion("shank", ("shank",), 0.05),
+    Proportion("neck and head", ("head",), _AMONG_PEOPLE["neck_head"]),
+    Proportion("upper arm", ("upper_arm",), _AMONG_PEOPLE["upper_arm"]),
+    Proportion("forearm", ("forearm",), _AMONG_PEOPLE["forearm"]),
+    Proportion("hand", ("hand",), _AMONG_PEOPLE["hand"]),
+    Proportion("hip breadth", ("hip",), _AMONG_PEOPLE["hip"]),
+    Proportion("thigh", ("thigh",), _AMONG_PEOPLE["thigh"]),
+    Proportion("shank", ("shank",), _AMONG_PEOPLE["shank"]),
 )
 # Clothes and muscle: held to be as stated, they would pass for lengths.
 GIRTHS = (

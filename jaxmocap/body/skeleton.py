@@ -4,9 +4,7 @@ INPUTS: a model file (``data/human.toml`` holds Table 1 of the first paper).
 OUTPUTS: a Skeleton. Names and the tree are static; every number in it is a traced array, so that
 gradients reach lengths, masses, diameters, costs and limits.
 
-A height or a mass scales it by the proportions of D. A. Winter, "Biomechanics and Motor Control of
-Human Movement", 4th ed. (2009), Fig. 4.1 (lengths, after Drillis and Contini) and Table 4.1
-(masses).
+A height or a mass scales it by the proportions of ``data/proportions.toml``.
 """
 
 from collections.abc import Iterable
@@ -18,7 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.model_files import HUMAN, joint_rows, landmark_rows_of, read_model
+from jaxmocap.body.model_files import (
+    HUMAN,
+    joint_rows,
+    landmark_rows_of,
+    mass_fractions,
+    proportions_of,
+    read_model,
+)
 from jaxmocap.body.tree import ROOT_DOF, Segment, Tree, with_dofs
 
 _LANDMARKS = landmark_rows_of(HUMAN)
@@ -53,33 +58,6 @@ def landmark_mismatches() -> np.ndarray:
     return np.array([(across, across, upright) for across, upright in sides], float)
 
 
-# Lengths as fractions of the body height. Trunk: hip (0.530) to the base of the neck (0.870);
-# neck and head: from there to the vertex. The shoulder lies at 0.818, 0.129 to the side.
-WINTER_LENGTHS = {
-    "trunk": 0.340,
-    "neck_head": 0.130,
-    "shoulder": float(np.hypot(0.129, 0.052)),
-    "upper_arm": 0.186,
-    "forearm": 0.146,
-    "hand": 0.108,
-    "hip": 0.0955,
-    "thigh": 0.245,
-    "shank": 0.246,
-    "foot": 0.110,
-}
-ANKLE_HEIGHT = 0.039
-CLAVICLE_DROP = 0.052 / 0.129
-# Masses as fractions of the body mass; trunk and head are split as Table 1 splits them.
-WINTER_MASSES = {
-    "trunk": 0.497,
-    "neck_head": 0.081,
-    "upper_arm": 0.028,
-    "forearm": 0.016,
-    "hand": 0.006,
-    "thigh": 0.100,
-    "shank": 0.0465,
-    "foot": 0.0145,
-}
 TRUNK = ("spine1", "spine2", "spine3")
 NECK_HEAD = ("neck", "head")
 # Groups of bones that share one number of the tables, in proportion to what they have.
@@ -87,6 +65,8 @@ _LONG_TOGETHER = {"spine": "trunk", "head": "neck_head"}
 # Clavicles and hips weigh as parts of the trunk.
 _HEAVY_TOGETHER = {**_LONG_TOGETHER, "shoulder": "trunk", "hip": "trunk"}
 MEAN_BODY_MASS_INDEX = 23.0
+# Of ``data/proportions.toml``: where joints are, and what segments are like from outside.
+JOINT_CENTRES, WINTER = "joint_centres", "winter"
 
 
 @jax.tree_util.register_dataclass
@@ -143,20 +123,27 @@ class Skeleton:
         return of_bones | {"diameters": (B, 2)} | of_joints | one_each
 
     @classmethod
-    def human(cls, height: float | None = None, mass: float | None = None) -> "Skeleton":
-        """The paper's subject (Table 1), or a person of that height scaled by Winter's proportions.
+    def human(
+        cls,
+        height: float | None = None,
+        mass: float | None = None,
+        proportions: str = JOINT_CENTRES,
+    ) -> "Skeleton":
+        """The paper's subject (Table 1), or a person of that height.
 
         Args:
             height: metres; None keeps Table 1.
             mass: kilograms; None keeps Table 1's, or follows the height at 23 kg/m^2.
+            proportions: of ``data/proportions.toml``: between centres of joints, or "winter".
 
         Raises:
             ValueError: height outside 0.5 to 2.5 m, or mass outside 10 to 400 kg.
+            KeyError: unknown proportions.
         """
         skeleton = load_skeleton(HUMAN)
         if height is None and mass is None:
             return skeleton
-        return scale_to_height(skeleton, height, mass)
+        return scale_to_height(skeleton, height, mass, proportions)
 
 
 def load_skeleton(name: str | Path) -> Skeleton:
@@ -270,13 +257,16 @@ def _numbers(values: list, scale: float = 1.0) -> Array:
     return jnp.asarray((np.array(values, float) * scale).astype(dtype), dtype)
 
 
-def scale_to_height(skeleton: Skeleton, height: float | None, mass: float | None) -> Skeleton:
-    """Scale by height (metres) and mass (kilograms) with Winter's proportions.
+def scale_to_height(
+    skeleton: Skeleton, height: float | None, mass: float | None, proportions: str = JOINT_CENTRES
+) -> Skeleton:
+    """Scale by height (metres) and mass (kilograms); girths follow from Winter's segments.
 
     Without a height only the masses change, all by the same factor.
 
     Raises:
         ValueError: height outside 0.5 to 2.5 m, or mass outside 10 to 400 kg.
+        KeyError: unknown proportions.
     """
     if mass is not None and not 10.0 <= mass <= 400.0:
         raise ValueError(f"mass = {mass}: expected kilograms between 10 and 400")
@@ -285,22 +275,31 @@ def scale_to_height(skeleton: Skeleton, height: float | None, mass: float | None
         return replace(skeleton, masses=skeleton.masses * factor)
     if not 0.5 <= height <= 2.5:
         raise ValueError(f"height = {height}: expected metres between 0.5 and 2.5")
-    lengths = _fractions(skeleton, WINTER_LENGTHS, _LONG_TOGETHER, skeleton.lengths) * height
+    kilograms = MEAN_BODY_MASS_INDEX * height**2 if mass is None else mass
+    masses = _fractions(skeleton, mass_fractions(), _HEAVY_TOGETHER, skeleton.masses)
+    # The table's masses are all of it: what it does not have takes its share from the others.
+    masses = masses * kilograms / (masses.sum() if masses.sum() > 1.001 else 1.0)
+    # His masses are of his segments.
+    lengths, directions = _by_stature(skeleton, height, WINTER)
+    scaled = with_girths(
+        skeleton, replace(skeleton, lengths=lengths, masses=jnp.asarray(masses, float))
+    )
+    if proportions != WINTER:
+        lengths, directions = _by_stature(skeleton, height, proportions)
+    return replace(scaled, lengths=lengths, directions=directions)
+
+
+def _by_stature(skeleton: Skeleton, height: float, proportions: str) -> tuple[Array, Array]:
+    """Lengths (B,), metres, and directions (B, 3) of a person of that height."""
+    table = proportions_of(proportions)
+    shoulder = np.array(table["shoulder"])
+    fractions = {**table["lengths"], "shoulder": float(np.linalg.norm(shoulder))}
+    lengths = _fractions(skeleton, fractions, _LONG_TOGETHER, skeleton.lengths) * height
     directions = np.array(skeleton.directions)
     for side, left in (("l", 1.0), ("r", -1.0)):
-        slope = np.array([0.0, left, -CLAVICLE_DROP])
-        directions[skeleton.tree.bones_in("shoulder", side=side)] = slope / np.linalg.norm(slope)
-    kilograms = MEAN_BODY_MASS_INDEX * height**2 if mass is None else mass
-    masses = _fractions(skeleton, WINTER_MASSES, _HEAVY_TOGETHER, skeleton.masses)
-    # Winter's masses are all of it: what he does not have takes its share from the others.
-    masses = masses * kilograms / (masses.sum() if masses.sum() > 1.001 else 1.0)
-    scaled = replace(
-        skeleton,
-        lengths=jnp.asarray(lengths, float),
-        directions=jnp.asarray(directions, float),
-        masses=jnp.asarray(masses, float),
-    )
-    return with_girths(skeleton, scaled)
+        along = shoulder * [1.0, left, 1.0] / np.linalg.norm(shoulder)
+        directions[skeleton.tree.bones_in("shoulder", side=side)] = along
+    return jnp.asarray(lengths, float), jnp.asarray(directions, float)
 
 
 def _fractions(
@@ -313,7 +312,7 @@ def _fractions(
 
     Args:
         skeleton: of B bones.
-        table: of Winter.
+        table: part -> its fraction.
         together: group of bones -> the entry that they share.
         shares: (B,) of the skeleton.
     """

@@ -1,7 +1,7 @@
-"""Scaling a skeleton to a person by the landmarks of a static trial.
+"""Scaling a skeleton to a person by the landmarks of a static trial; how tall a skeleton stands.
 
 INPUTS: a Skeleton and landmark positions (metres, world Z up).
-OUTPUTS: a Skeleton of the same tree with other lengths, directions, masses and diameters.
+OUTPUTS: a Skeleton of the same tree with other lengths, directions, masses, diameters; a stature.
 """
 
 from dataclasses import replace
@@ -9,12 +9,13 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
+from jaxmocap.body.model_files import proportions_of
 from jaxmocap.body.skeleton import (
-    ANKLE_HEIGHT,
+    JOINT_CENTRES,
     LANDMARKS,
     NECK_HEAD,
     TRUNK,
-    WINTER_LENGTHS,
+    WINTER,
     Skeleton,
     scale_to_height,
     with_girths,
@@ -56,7 +57,8 @@ def scale_to_landmarks(skeleton: Skeleton, landmarks: dict[str, np.ndarray]) -> 
         if name not in landmarks or not np.isfinite(landmarks[name]).all(-1).any():
             raise ValueError(f"a static trial needs the landmark {name!r} in at least one frame")
     measured = {which: _distance(landmarks, *ends) for which, ends in _MEASURED.items()}
-    guess = scale_to_height(skeleton, _height(landmarks, measured), None)
+    height = _height(landmarks, measured)
+    guess = scale_to_height(skeleton, height, None)
     lengths, directions = np.array(guess.lengths), np.array(guess.directions)
     names = skeleton.tree.bones
     for (part, side), length in measured.items():
@@ -70,7 +72,7 @@ def scale_to_landmarks(skeleton: Skeleton, landmarks: dict[str, np.ndarray]) -> 
     scaled = replace(
         guess, lengths=jnp.asarray(lengths, float), directions=jnp.asarray(directions, float)
     )
-    return with_girths(guess, scaled)
+    return with_girths(scale_to_height(skeleton, height, None, WINTER), scaled)
 
 
 def _distance(landmarks: dict[str, np.ndarray], a: str, b: str) -> float | None:
@@ -86,15 +88,16 @@ def _height(
 ) -> float:
     """Body height, metres: from vertex to ankles where both are measured, else from the limbs.
 
-    The limbs' height is the median of those at which Winter's limbs are as long as the measured.
+    The limbs' height is the median of those at which the table's limbs are as long as the measured.
     """
+    table = proportions_of(JOINT_CENTRES)
     if {"vertex", "ankle_l", "ankle_r"} <= set(landmarks):
         ankles = (landmarks["ankle_l"] + landmarks["ankle_r"]) / 2
         extent = (landmarks["vertex"] - ankles)[:, 2]
         if np.isfinite(extent).any():
-            return float(np.clip(np.nanmedian(extent) / (1 - ANKLE_HEIGHT), 0.5, 2.5))
+            return float(np.clip(np.nanmedian(extent) / (1 - table["ankle"]), 0.5, 2.5))
     ratios = [
-        length / WINTER_LENGTHS[part]
+        length / table["lengths"][part]
         for (part, _), length in measured.items()
         if length is not None and part != "foot"
     ]
@@ -122,3 +125,30 @@ def _trunk_vectors(landmarks: dict[str, np.ndarray]) -> dict[tuple[str, ...], np
         vectors[(f"clavicle_{side}",)] = vector(landmarks["neck"], landmarks[f"shoulder_{side}"])
         vectors[(f"hip_{side}",)] = vector(pelvis, landmarks[f"hip_{side}"])
     return vectors
+
+
+def skeleton_stature(skeleton: Skeleton) -> float:
+    """How tall the skeleton stands, metres, from sole to vertex."""
+    vectors = bone_vectors(skeleton)
+    sole, vertex = sole_and_vertex(standing_joints(skeleton, vectors), vectors)
+    return vertex - sole
+
+
+def bone_vectors(skeleton: Skeleton) -> np.ndarray:
+    """(B, 3) from each joint to its bone's far end with all angles 0, metres."""
+    return np.asarray(skeleton.lengths, float)[:, None] * np.asarray(skeleton.directions, float)
+
+
+def standing_joints(skeleton: Skeleton, vectors: np.ndarray) -> np.ndarray:
+    """(B, 3) joints about the pelvis; every bone begins where its parent ends."""
+    joints = np.zeros_like(vectors)
+    for bone, parent in enumerate(skeleton.tree.parents):
+        if parent >= 0:
+            joints[bone] = joints[parent] + vectors[parent]
+    return joints
+
+
+def sole_and_vertex(joints: np.ndarray, vectors: np.ndarray) -> tuple[float, float]:
+    """Heights of the body's ends; the lowest joints, the ankles, are a share of them above one."""
+    vertex, ankle = float((joints + vectors)[:, 2].max()), float(joints[:, 2].min())
+    return vertex - (vertex - ankle) / (1 - proportions_of(JOINT_CENTRES)["ankle"]), vertex

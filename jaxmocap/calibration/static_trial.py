@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.body.subject import NECK_HEAD, TRUNK
-from jaxmocap.capture.checks.body_reach import skeleton_stature
+from jaxmocap.body.subject import NECK_HEAD, TRUNK, skeleton_stature
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.formats.recordings.subject import (
@@ -25,7 +24,7 @@ from jaxmocap.formats.recordings.subject import (
 )
 from jaxmocap.formats.time_series.markers import read_markers
 
-BY_HEIGHT = "by height (Winter)"
+BY_HEIGHT = "by height"
 # Bones -> landmarks between which they are measured, "hips" being the middle of the hips.
 _BONE_ENDS: dict[str, tuple[str, str]] = {
     "spine1": ("hips", "neck"),

@@ -107,7 +107,7 @@ def filter_markers(recording: Recording, causal: bool = False) -> tuple[Recordin
         positions = fill_gaps(times, positions, filters.gaps)
         filled = before & ~_is_missing(positions)
     if filters.butterworth is not None and "butterworth" in applied:
-        _check_cutoff(recording, filters.butterworth)
+        check_cutoff(recording, filters.butterworth, "[markers.filters] butterworth")
         if not is_even(times):
             warnings.append(
                 "unevenly spaced samples went through the Butterworth filter as if even"
@@ -149,7 +149,7 @@ def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
 
     Args:
         times: (T,) seconds.
-        positions: (T, M, 3) metres; NaN where missing.
+        positions: (T, M, 3) metres, or (T, M, N) of anything; NaN where missing.
 
     Returns:
         (T, M) booleans.
@@ -185,7 +185,7 @@ def fill_gaps(times: np.ndarray, positions: np.ndarray, longest: float) -> np.nd
 
     Args:
         times: (T,) seconds.
-        positions: (T, M, 3) metres; NaN where missing.
+        positions: (T, M, 3) metres, or (T, M, N) of anything; NaN where missing.
         longest: seconds that a marker may be missing: from the first sample without it to the
             first with it again.
     """
@@ -235,7 +235,8 @@ def butterworth_low_pass(times: np.ndarray, positions: np.ndarray, cutoff: float
 
     Args:
         times: (T,) seconds, evenly spaced but for gaps.
-        positions: (T, M, 3) metres; NaN where missing, and between gaps each run by itself.
+        positions: (T, M, 3) metres, or (T, M, N) of anything; NaN where missing, and between gaps
+            each run by itself.
         cutoff: Hz.
     """
     # Half a second of imports, and few recordings ask for it.
@@ -261,14 +262,14 @@ def _runs(times: np.ndarray, is_present: np.ndarray) -> list[np.ndarray]:
     return [run for run in np.split(rows, np.flatnonzero(breaks) + 1) if len(run) > 1]
 
 
-def _check_cutoff(recording: Recording, cutoff: float) -> None:
-    """InputError unless the samples can hold a low-pass's cut-off."""
+def check_cutoff(recording: Recording, cutoff: float, name: str) -> None:
+    """InputError unless the samples can hold the cut-off of a low-pass, by its setting's name."""
     interval = median_interval(recording.times)
     highest = TWO_PASS_CUTOFF_RATIO / (2 * interval) if interval else 0.0
     if cutoff >= highest:
         raise InputError(
             recording.path or recording.name,
-            f"[markers.filters] butterworth: found {cutoff:g} Hz, expected less than "
+            f"{name}: found {cutoff:g} Hz, expected less than "
             f"{highest:.3g} Hz for {1 / interval if interval else 0:.3g} samples per second",
         )
 

@@ -1,4 +1,4 @@
-"""Options that several commands share: which cameras, what height, how video refines.
+"""Options that several commands share: which cameras, what height, which settings.
 
 INPUTS: a command's parser; parsed options. OUTPUTS: the options; the Recording that they name.
 """
@@ -15,9 +15,9 @@ from jaxmocap.formats.files.errors import InputError
 
 if TYPE_CHECKING:
     from jaxmocap.formats.recordings.recording import Recording
+    from jaxmocap.hybrid.settings import Settings
 
-REFINEMENTS = ("simplex", "gradient", "search", "none")
-EVIDENCE = ("outline", "coverage")
+REFINEMENTS = ("search", "simplex", "gradient", "none")
 
 
 def add_cameras(parser: argparse.ArgumentParser, help_text: str) -> None:
@@ -25,15 +25,45 @@ def add_cameras(parser: argparse.ArgumentParser, help_text: str) -> None:
     parser.add_argument("--cameras", metavar="A,B", type=names, help=help_text)
 
 
-def add_refine(parser: argparse.ArgumentParser, help_text: str) -> None:
-    """The options --refine and --evidence."""
-    parser.add_argument("--refine", choices=REFINEMENTS, default="simplex", help=help_text)
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """The options --refine and --settings."""
     parser.add_argument(
-        "--evidence",
-        choices=EVIDENCE,
-        help="what of an arm is compared with the edges: its outline (default), or the area that "
-        "it covers, the first paper's sum (13)",
+        "--refine",
+        choices=REFINEMENTS,
+        help="what video does to the pose of the markers: the body follows a search for the elbows "
+        "(default); then each arm is fitted by a downhill simplex or the whole body by least "
+        "squares, frame by frame, where nothing is smoothed; or none: markers only",
     )
+    parser.add_argument(
+        "--settings",
+        metavar="FILE.toml",
+        help="any of the tracker's settings by name; 'jaxmocap help settings' lists them",
+    )
+
+
+def settings_of(options: argparse.Namespace, smooth: bool | None = None) -> Settings:
+    """The tracker's settings, or with --paper the first paper's, with --settings and --refine.
+
+    Args:
+        options: of the command.
+        smooth: whether poses are smoothed; None where the settings say so.
+
+    Raises:
+        InputError: a settings file that is none; something chosen that would have no part.
+    """
+    from jaxmocap.formats.settings_file import read_settings
+    from jaxmocap.hybrid.settings import Settings, unused_setting
+
+    chosen = Settings.paper() if getattr(options, "paper", False) else Settings()
+    if options.settings:
+        chosen = read_settings(options.settings, chosen)
+    if options.refine:
+        chosen = replace(chosen, refine=options.refine)
+    live, smooth = smooth is not None, chosen.smooth if smooth is None else smooth
+    causal = live or getattr(options, "mode", None) == "causal"
+    if problem := unused_setting(chosen, smooth, causal):
+        raise InputError("--refine" if options.refine else options.settings, problem)
+    return chosen
 
 
 def recording_of(options: argparse.Namespace) -> Recording:

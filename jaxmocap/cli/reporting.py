@@ -4,6 +4,7 @@ INPUTS: parsed options, text, figures. OUTPUTS: lines on standard output; JSON; 
 """
 
 import argparse
+import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import TextIO
 
 from jaxmocap.formats.files.errors import InputError, printable, shortened
+from jaxmocap.formats.files.output_folder import refuse_outputs
 from jaxmocap.formats.files.writing import check_target
 from jaxmocap.formats.recordings.recording_files import input_files
 
@@ -44,9 +46,17 @@ def _texts(value: object) -> Iterator[str]:
 
 
 def check_report(options: argparse.Namespace) -> None:
-    """InputError where the file of --json cannot be written, or is read."""
-    if getattr(options, "json", None) not in (None, "-"):
-        check_target(options.json, files_read(options))
+    """InputError where the file of --json cannot be written, is read, or is an output itself."""
+    if (name := getattr(options, "json", None)) in (None, "-"):
+        return
+    path = check_target(name, files_read(options))
+    refuse_outputs(path)
+    path = Path(os.path.realpath(path))
+    for other in (getattr(options, key, None) for key in _OUTPUT_OPTIONS if key != "json"):
+        out = path if other is None else Path(os.path.realpath(other))
+        is_inside = out in path.parents and (path.suffix != ".json" or path.name == "report.json")
+        if other is not None and (path == out or is_inside):
+            raise InputError(name, "is an output of this command, expected another file for --json")
 
 
 def report(options: argparse.Namespace, text: str, figures: dict) -> None:
@@ -59,6 +69,8 @@ def report(options: argparse.Namespace, text: str, figures: dict) -> None:
         return
     print_lines(text.split("\n"))
     if options.json:
+        # The run's outputs have names now.
+        check_report(options)
         write_figures(figures, options.json)
 
 

@@ -25,6 +25,7 @@ TOPICS = (
     "body",
     "devices",
     "filters",
+    "settings",
     "silhouettes",
     "batch",
     "convert",
@@ -40,6 +41,16 @@ TOPICS = (
 def page(topic: str) -> str:
     """The text of a topic's page, Markdown."""
     return files("jaxmocap").joinpath("docs", f"{topic}.md").read_text(encoding="utf-8")
+
+
+def _printed(topic: str) -> str:
+    """A page, and below that of the settings what the tracker's records say themselves."""
+    if topic != "settings":
+        return page(topic)
+    from jaxmocap.formats.settings_file import listed
+    from jaxmocap.hybrid.settings import Settings
+
+    return f"{page(topic)}\n```toml\n{listed(Settings())}\n```\n"
 
 
 def contents() -> str:
@@ -63,9 +74,9 @@ def _run(options: argparse.Namespace) -> None:
     if options.topic is None:
         print(contents())
     elif sys.stdout.isatty():
-        pydoc.pager(page(options.topic))
+        pydoc.pager(_printed(options.topic))
     else:
-        print(page(options.topic), end="")
+        print(_printed(options.topic), end="")
 
 
 COMMAND = Command(

@@ -24,19 +24,48 @@ import jax.numpy as jnp
 T = TypeVar("T")
 
 
-def traced(default: float, meaning: str) -> Any:
-    """A number that becomes a floating-point array of JAX's present precision."""
-    return field(default=default, metadata={"meaning": meaning, "dtype": float})
+# A setting may be so many times its default, and a positive one so small a part of it.
+WIDEST = 1e4
+# The same of what sizes a program or says how often something is done.
+MOST_TIMES = 10
+
+
+def traced(default: float, meaning: str, least: float | None = None) -> Any:
+    """A number that becomes a floating-point array of JAX's present precision.
+
+    Args:
+        default: its range follows from it.
+        meaning: in words, with the unit.
+        least: of its range; without it a positive number stays positive.
+    """
+    if least is None:
+        least = default / WIDEST if default > 0 else -WIDEST
+    bounds = least, WIDEST * (default or 1.0)
+    return field(default=default, metadata={"meaning": meaning, "dtype": float, "range": bounds})
 
 
 def counted(default: int, meaning: str) -> Any:
     """A whole number that becomes an int32 array."""
-    return field(default=default, metadata={"meaning": meaning, "dtype": jnp.int32})
+    bounds = 1, MOST_TIMES * default
+    return field(
+        default=default, metadata={"meaning": meaning, "dtype": jnp.int32, "range": bounds}
+    )
 
 
-def static(default: Any, meaning: str) -> Any:
-    """What changes the shape of a computation: hashable, and part of the program's name."""
-    return field(default=default, metadata={"meaning": meaning, "static": True})
+def static(default: Any, meaning: str, within: tuple[float, float] | None = None) -> Any:
+    """What changes the shape of a computation: hashable, and part of the program's name.
+
+    Args:
+        default: a number's range follows from it where none is named.
+        meaning: in words, with the unit.
+        within: the least and the largest number.
+    """
+    metadata = {"meaning": meaning, "static": True}
+    if isinstance(default, tuple):
+        metadata |= {"range": within, "length": len(default)}
+    elif isinstance(default, int | float) and not isinstance(default, bool):
+        metadata["range"] = within or (default / MOST_TIMES, MOST_TIMES * default)
+    return field(default=default, metadata=metadata)
 
 
 def group(make: Callable[[], Any], meaning: str) -> Any:

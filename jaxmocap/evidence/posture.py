@@ -14,7 +14,7 @@ from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.mass import augmented_bodies
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import Skeleton, landmark_rows
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
@@ -22,6 +22,11 @@ from jaxmocap.geometry.rotations import HIGHEST, quaternion_multiply
 
 # Where no marker holds the feet, the markers' pose faces so many times less surely.
 UNMARKED_FACING = 3.0
+
+
+# Landmarks that usually are somewhere, in this order.
+USUAL = ("elbow_l", "elbow_r", "ankle_l", "ankle_r", "pelvis")
+USUAL_ROWS = landmark_rows(USUAL)
 
 
 @settings
@@ -222,3 +227,31 @@ class NearEstimate(Term):
         estimate = measured["estimate"]
         off = difference(body.pose, estimate.pose)
         return jnp.matmul(estimate.root, off, precision=HIGHEST) + estimate.offset
+
+
+@settings
+class UsualPlaces(Term):
+    """Landmarks where people usually have them; measured ``usual``, ``Usual`` of one moment."""
+
+    errors_last: ClassVar[bool] = True
+    spread: Array = traced(1.0, "of landmarks about their usual places, as a multiple of people's")
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(K, 3); none where nothing is usual."""
+        if "usual" not in measured:
+            return jnp.zeros(0, body.landmarks.dtype)
+        usual = measured["usual"]
+        away = body.landmarks[USUAL_ROWS] - usual.places
+        return jnp.einsum("kij,kj->ki", usual.roots, away) / self.spread
+
+
+class Usual(NamedTuple):
+    """Where ``USUAL`` landmarks usually are.
+
+    Attributes:
+        places: (..., K, 3) world, metres.
+        roots: (..., K, 3, 3) that whiten what is off them; 0 where nothing is usual.
+    """
+
+    places: Array | np.ndarray
+    roots: Array | np.ndarray

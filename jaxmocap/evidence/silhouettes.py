@@ -106,9 +106,11 @@ class Silhouettes:
         0.7, "of a cell's coverage; above what one cell errs by, since neighbours err alike"
     )
     person: Array = traced(
-        1.0, "weight of the differences from the whole person's silhouette; 0 leaves it out"
+        1.0,
+        "weight of the differences from the whole person's silhouette; 0 leaves it out",
+        least=0,
     )
-    forearms: Array = traced(1.0, "weight of those from the forearms'")
+    forearms: Array = traced(1.0, "weight of those from the forearms'", least=0)
     redundancy: Array = traced(
         100.0,
         "how many cells and frames err alike: a silhouette is wrong where the person is no cone, "

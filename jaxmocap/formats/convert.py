@@ -166,6 +166,8 @@ def _convert_calibration(conversion: _Conversion) -> list[str]:
 
 def _read_markers(conversion: _Conversion) -> Markers:
     markers = read_markers(conversion.source)
+    if count := sum(markers.at_zero.values()):
+        conversion.warnings.append(f"left out: {count} positions at exactly 0, 0, 0, as missing")
     if conversion.source.suffix.lower() == ".c3d":
         conversion.warnings += [
             f"left out: {content}" for content in unconverted_content(conversion.source)

@@ -18,6 +18,12 @@ from jax import Array
 from jaxmocap.geometry.lenses import BROWN_CONRADY, LENSES, Component
 from jaxmocap.geometry.rotations import HIGHEST, exp, rotate
 
+# Pixels: of a picture's side, and of the principal point from the picture's first pixel.
+LARGEST_SIZE = 65_536
+# Pixels of a focal length: a telescope has some million.
+SMALLEST_FOCAL, LARGEST_FOCAL = 1e-3, 1e8
+# Coefficients: of a real lens none is beyond some hundred; the tangential ones are below 0.1.
+LARGEST_DISTORTION, LARGEST_TANGENTIAL = 1e6, 100.0
 # Points nearer than this to the camera's plane, or behind it, are projected as if they lay here.
 NEAREST_M = 0.05
 
@@ -63,7 +69,8 @@ class Camera:
             lens: name in ``lenses.LENSES``.
 
         Raises:
-            ValueError: more distortion coefficients than the lens has.
+            ValueError: more distortion coefficients than the lens has, or a parameter that no
+                camera has.
         """
         most = len(LENSES[lens].coefficients)
         coefficients = np.zeros(most)
@@ -71,6 +78,8 @@ class Camera:
         if given.size > most:
             raise ValueError(f"at most {most} distortion coefficients, found {given.size}")
         coefficients[: given.size] = given
+        if problem := lens_problem(np.asarray(size, float), np.asarray(matrix, float), given, lens):
+            raise ValueError(": ".join(problem))
         # Converted on the host: on the device that would be a program for each shape.
         dtype = jax.dtypes.canonicalize_dtype(float)
         return cls(
@@ -85,6 +94,28 @@ class Camera:
     def position_world(self) -> Array:
         """(3,) the centre of projection in the world, metres."""
         return _centre(self.T_cam_world)
+
+
+def lens_problem(
+    size: np.ndarray, matrix: np.ndarray, distortion: np.ndarray, lens: str = BROWN_CONRADY
+) -> tuple[str, str] | None:
+    """The field of ``Camera.create`` that no real camera has, and a sentence; None where all do."""
+    if not ((size >= 1) & (size <= LARGEST_SIZE)).all():
+        return "size", f"found {size.tolist()}, expected two positive numbers up to {LARGEST_SIZE}"
+    found, focal = f"found {matrix.tolist()}, expected", matrix[[0, 1], [0, 1]]
+    if not (focal >= SMALLEST_FOCAL).all() or not np.allclose(matrix[2], [0, 0, 1]):
+        return "matrix", f"{found} positive focal lengths and a last row of 0 0 1"
+    if not (focal <= LARGEST_FOCAL).all():
+        return "matrix", f"{found} focal lengths up to {LARGEST_FOCAL:g}"
+    if not (np.abs(matrix[[0, 1], [1, 0]]) <= focal.max()).all():
+        return "matrix", f"{found} a skew below the focal lengths"
+    if not (np.abs(matrix[:2, 2]) <= LARGEST_SIZE).all():
+        return "matrix", f"{found} a principal point within {LARGEST_SIZE} pixels"
+    for name, value in zip(LENSES[lens].coefficients, distortion.tolist(), strict=False):
+        most = LARGEST_TANGENTIAL if name.startswith("p") else LARGEST_DISTORTION
+        if not abs(value) <= most:
+            return "distortions", f"found {name} = {value:g}, expected none beyond {most:g}"
+    return None
 
 
 # As one program each: step by step each step would compile by itself.

@@ -98,7 +98,7 @@ def _candidate_costs(
     R, own = arm.R_world_radius, settings.elbow_search
     turns = compose(compose(R, jnp.asarray(R_TURNS, R.dtype)), R.T)
     moved, slack = turn_forearm(arm, turns)
-    edges = settings.edges.arm_cost(cameras, fields, flesh(moved))
+    edges = settings.edges.arm_cost(cameras, fields, flesh(moved), flesh(arm))
     away = jnp.sum((moved.elbow - arm.elbow) ** 2, -1) / own.elbow_prior**2
     # Student's t with three degrees of freedom: markers alone may be far off.
     prior = 2 * jnp.log1p(away / 3)

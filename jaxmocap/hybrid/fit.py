@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxmocap.body.arms import Arms, arm_dofs, flesh, hang, swing
+from jaxmocap.body.arms import Arms, arm_dofs, arms_of, flesh, hang, swing
+from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, beyond_limits, difference, retract
 from jaxmocap.evidence.edges import EdgeFields, WeightedEdges
@@ -175,7 +176,7 @@ def refine_arms(
     dofs = arm_dofs(model.skeleton.tree)
     limits = model.skeleton.limits[dofs]
     hung = hang(model.skeleton, pose, model.grips)
-    costs = _arm_costs(model, settings, by_arm, grip_targets, elbows)
+    costs = _arm_costs(model, settings, by_arm, pose, grip_targets, elbows)
 
     def cost(moves: Array) -> Array:
         arms, angles = swing(hung, moves)
@@ -203,18 +204,19 @@ def arms_at_minimum(
     pose: Pose,
     grip_targets: Array,
     elbows: Array,
+    found: Pose,
 ) -> Pose:
-    """A pose that ``refine_arms`` found, with the derivatives of the minimum beside it.
+    """The pose that ``refine_arms`` found, with the derivatives of the minimum beside it.
 
-    The pose is as it was given; the arguments are those of ``refine_arms``.
+    The other arguments are those of ``refine_arms``.
     """
-    return following(_arms_moved, (model, settings, fields, grip_targets, elbows), pose)
+    return following(_arms_moved, (model, settings, fields, pose, grip_targets, elbows), found)
 
 
 def _arms_moved(parameters: tuple, pose: Pose) -> Pose:
     """Where arms at their minimum go as the parameters change."""
-    model, settings, fields, grip_targets, elbows = parameters
-    costs = _arm_costs(model, settings, fields.by_arm(), grip_targets, elbows)
+    model, settings, fields, *start = parameters
+    costs = _arm_costs(model, settings, fields.by_arm(), *start)
     hung, dofs = hang(model.skeleton, pose, model.grips), arm_dofs(model.skeleton.tree)
 
     def slope(moves: Array) -> Array:
@@ -237,14 +239,20 @@ def _by_arm(slope: Callable[[Array], Array], still: Array) -> tuple[Array, Array
 
 
 def _arm_costs(
-    model: Model, settings: Settings, fields: EdgeFields, grip_targets: Array, elbows: Array
+    model: Model,
+    settings: Settings,
+    fields: EdgeFields,
+    start: Pose,
+    grip_targets: Array,
+    elbows: Array,
 ) -> tuple[ArmCost, ...]:
     """The terms of equation (14), and the searched elbow; fields with the arms' axis first."""
     own, limits = settings.simplex, model.skeleton.limits[arm_dofs(model.skeleton.tree)]
     of_arm = partial(settings.edges.arm_cost, model.cameras)
+    begun = flesh(arms_of(model.skeleton, forward(model.skeleton, start), model.grips))
 
     def on_edges(arms: Arms, _: Array) -> Array:
-        return jax.vmap(of_arm)(fields, flesh(arms))
+        return jax.vmap(of_arm)(fields, flesh(arms), begun)
 
     def held(arms: Arms, _: Array) -> Array:
         away = off_targets(arms.grip, grip_targets)

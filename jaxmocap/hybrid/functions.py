@@ -244,8 +244,9 @@ def _by_simplex(
 ) -> Pose:
     fields, grip = observed.edges.fields, _arms(model, pose).grip
     held = jax.lax.stop_gradient((model, settings, fields, start, grip, observed.elbows))
-    there = _going_along(pose, refine_arms(*held))
-    return arms_at_minimum(model, settings, fields, there, grip, observed.elbows)
+    found = _going_along(pose, refine_arms(*held))
+    start = _going_along(pose, start)
+    return arms_at_minimum(model, settings, fields, start, grip, observed.elbows, found)
 
 
 def _going_along(pose: Pose, end: Pose) -> Pose:
@@ -288,7 +289,7 @@ _SMOOTH = Program(smooth_events, "smooth", effort="quick")
 def _checked_observation(model: Model, settings: Settings, observation: Any) -> Observation:
     """What ``observe`` found of this model's cameras, by these settings."""
     check_kind("observation", observation, Observation)
-    C, K, S = model.camera_count, settings.channels, settings.samples
+    C, K, S = model.camera_count, settings.directions, settings.samples
     distances, elbows = np.shape(observation.edges.fields.distances), np.shape(observation.elbows)
     check_shape("observation.edges.fields.distances", distances, (C, 2, K, S, S), model)
     check_shape("observation.elbows", elbows, (2, 3))

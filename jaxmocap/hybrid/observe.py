@@ -16,7 +16,7 @@ from jaxmocap.body.arms import Arms
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.images.edges import Thresholds, distance_fields
+from jaxmocap.images.edges import Thresholds, distance_fields, equalised, to_grey
 from jaxmocap.images.regions import Region, crop, region_around
 
 # Canny's thresholds of both arms in each camera, which the next frame begins with.
@@ -58,8 +58,8 @@ def edge_fields(
         The fields, and the thresholds after these images.
     """
     cameras, size, spacing = len(thresholds), settings.samples, settings.spacing
-    shape = (cameras, 2, settings.channels, size, size)
-    farthest = settings.edge_detection.farthest / spacing
+    shape = (cameras, 2, settings.directions, size, size)
+    detection, farthest = settings.edge_detection, settings.edge_detection.farthest / spacing
     if images is None or all(image is None for image in images):
         return EdgeFields(region, *_nothing(shape, farthest)), thresholds
     origins, scales = np.asarray(region.origin), np.asarray(region.scale)
@@ -69,13 +69,15 @@ def edge_fields(
         if (image := images[camera]) is None:
             distances[camera] = farthest
             return thresholds[camera]
-        each = []
+        each, before = [], thresholds[camera]
+        if detection.equalise == "image":
+            image, first = equalised(to_grey(image), detection, before[0])
+            before = (first, before[1])
         for arm in range(2):
             finer = scales[camera, arm] / spacing
             grey = crop(image, origins[camera, arm], finer, size * spacing, True)
             _, edges, after = distance_fields(
-                grey, settings.edge_detection, thresholds[camera][arm],
-                settings.channels, spacing, distances[camera, arm],
+                grey, detection, before[arm], settings.directions, spacing, distances[camera, arm],
             )  # fmt: skip
             # A black or featureless image is no evidence.
             available[camera, arm] = bool(edges.any())

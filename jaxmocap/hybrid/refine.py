@@ -1,13 +1,15 @@
 """Refinement of the markers' pose by the video (section 5).
 
     search    where each elbow is, by edges, with memory (ours)
-    balance   the spine bows in a squat (5.3); by choice as the last step, as in the paper
+    balance   the spine bows in a squat (5.3)
     follow    the body follows the elbows by inverse kinematics, the markers held, so that a
               shoulder that three markers placed wrongly moves as well
     fit       a downhill simplex over each arm's four degrees of freedom brings the outlines to
               the edges (5.2: the arms are problems of their own, solved side by side), or least
               squares over the whole body (``gradient``)
     report    what came of it
+
+The first paper's own order is ``paper.frame``.
 
 INPUTS: a Model, what ``solve`` found, distance fields of edges, the belief about the elbows.
 OUTPUTS: the refined pose, the belief, a report.
@@ -99,36 +101,51 @@ def refine_event(
     goals = goals_of(model, settings.ik, solved.ik.feet, targets)
     arms = _arms(model, solved.ik.pose)
     pose, elbows, status = solved.ik.pose, arms.elbow, no_status()
-    # All three are static: settled when this is traced.
+    # Both are static: settled when this is traced.
     edges = None if settings.refine == "none" or model.cameras is None else fields
-    if edges is not None and settings.search:
+    if edges is not None:
         pose = _last_unless_lost(model, settings, goals, belief, pose)
         belief, elbows = search_elbows(model, settings, arms, edges, belief)
     pose, centre, free, balanced = _balanced(model, settings, solved.ik.pose, pose, bow_factors)
-    if edges is not None and settings.search:
+    if edges is not None:
         pose = follow_elbows(model, settings, goals, pose, free, elbows)
-    elif settings.balance == "before":
+        aims = Aims(goals, elbows, centre, free)
+        pose, status = fit(model, settings, edges, pose, aims, arms.grip)
+        belief = _updated(belief, arms, _arms(model, pose), edges, pose)
+    elif settings.balance:
         met = lambda: reach(model, settings.ik, {"goals": goals}, pose, free)  # noqa: E731
         pose = jax.lax.cond(balanced, met, lambda: pose)
-    if edges is not None:
-        aims = Aims(goals, elbows, centre, free)
-        pose, status = _fit(model, settings, edges, pose, aims, arms.grip)
-        belief = updated_belief(belief, arms, _arms(model, pose), edges, pose)
-    if settings.balance == "after":
-        pose, _, balanced = bow_on_feet(model.skeleton, settings.ik, pose, bow_factors)
+    deviations = without_image(settings.elbow_search, belief)[1]
+    report = report_of(model, settings, solved, targets, edges, pose)
+    return (
+        belief,
+        pose,
+        report._replace(elbow_deviations=deviations, balanced=balanced, status=status),
+    )
+
+
+def report_of(
+    model: Model,
+    settings: Settings,
+    solved: Solved,
+    targets: Array,
+    edges: EdgeFields | None,
+    pose: Pose,
+) -> StepReport:
+    """What the refined pose itself shows; the rest as of a step in which nothing happened."""
     frames = forward(model.skeleton, pose)
     refined = arms_of(model.skeleton, frames, model.grips)
     outline_px = jnp.full(2, jnp.nan, targets.dtype)
     if edges is not None and model.cameras is not None:
         outline_px = settings.edges.outline_px(model.cameras, edges, refined)
-    mask = are_present(targets)
+    mask, goals = are_present(targets), goals_of(model, settings.ik, solved.ik.feet, targets)
     errors = goal_distances(model.skeleton, goals, frames)[: len(mask)]
-    report = StepReport(
-        solved.ik.pose, jnp.where(mask, errors, jnp.nan), outline_px, swivels(arms, refined),
-        without_image(settings.elbow_search, belief)[1], solved.ik.planted, solved.ik.placed,
-        balanced, status,
+    prior = jnp.full(2, settings.elbow_search.elbow_prior)
+    turns = swivels(_arms(model, solved.ik.pose), refined)
+    return StepReport(
+        solved.ik.pose, jnp.where(mask, errors, jnp.nan), outline_px, turns, prior,
+        solved.ik.planted, solved.ik.placed, jnp.zeros((), bool), no_status(),
     )  # fmt: skip
-    return belief, pose, report
 
 
 def _arms(model: Model, pose: Pose) -> Arms:
@@ -174,7 +191,7 @@ def _balanced(
 
     From the markers' pose: one bow on another would pile up.
     """
-    if settings.balance != "before":
+    if not settings.balance:
         return pose, alone, jnp.ones(model.skeleton.costs.shape, bool), jnp.zeros((), bool)
     bowed, free, bows = bow_on_feet(model.skeleton, settings.ik, alone, bow_factors)
     pose, centre = (
@@ -191,7 +208,7 @@ def follow_elbows(
     return reach(model, settings.ik, {"goals": goals, "elbows": elbows}, pose, free)
 
 
-def _fit(
+def fit(
     model: Model,
     settings: Settings,
     fields: EdgeFields,
@@ -208,7 +225,7 @@ def _fit(
     return refine_arms(model, settings, fields, pose, grip_targets, aims.elbows), no_status()
 
 
-def updated_belief(
+def _updated(
     belief: ElbowBelief, arms: Arms, refined: Arms, fields: EdgeFields, pose: Pose
 ) -> ElbowBelief:
     """The belief with the turns from the markers' forearms to those refined by a new image."""

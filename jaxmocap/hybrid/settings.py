@@ -15,6 +15,7 @@ from jaxmocap.evidence.limits import JointLimits
 from jaxmocap.evidence.markers import ElbowGoals, PointGoals, SearchedElbows
 from jaxmocap.evidence.posture import NearPose
 from jaxmocap.evidence.terms import Term
+from jaxmocap.hybrid.paper.chamfer import Chamfer
 from jaxmocap.images.edges import EdgeSettings
 from jaxmocap.smoothing.settings import SmoothingSettings
 
@@ -35,7 +36,7 @@ class IKSettings:
         "selectively damped least squares, as in the paper",
     )
     memory: Array = traced(
-        0.5,
+        1.0,
         "of a degree of freedom about the last sample's pose, weighted radians; not for algorithm "
         "1, which remembers by few iterations",
     )
@@ -55,9 +56,9 @@ class IKSettings:
         0.8, "of markers and unmarked feet below the pelvis, against 1 for the others"
     )
     largest_step: Array = traced(np.pi / 4, "Gamma of equation (8), in weighted radians")
-    relaxation: Array = traced(0.9, "gain of the secondary task (9)")
+    relaxation: Array = traced(0.9, "gain of the secondary task (9)", least=0)
     uprightness: Array = traced(
-        0.1, "gain of the pull of the pelvis to the upright, in the same projection"
+        0.1, "gain of the pull of the pelvis to the upright, in the same projection", least=0
     )
     floor: Array = traced(0.0, "height of the ground, metres")
     stance_radius: Array = traced(
@@ -117,9 +118,9 @@ class SimplexSettings:
     swivel_edge: Array = traced(0.2, "of the first simplex along the arm's swivel, radians")
     other_edge: Array = traced(0.04, "of the first simplex along the other three, radians")
     elbow: Array = traced(0.02, "deviation of the elbow about the searched one, metres")
-    limit: Array = traced(100.0, "price of a radian beyond a joint's range")
+    limit: Array = traced(100.0, "price of a radian beyond a joint's range", least=0)
     hold: Array = traced(
-        2000.0, "lambda of equation (14), units per metre that the grip leaves its marker"
+        2000.0, "lambda of equation (14), units per metre that the grip leaves its marker", least=0
     )
 
 
@@ -153,31 +154,34 @@ class Settings:
     """How the tracker works."""
 
     refine: Literal["simplex", "gradient", "search", "none"] = static(
-        "simplex",
-        "what follows the search for the elbows: each arm by itself (the paper's way), the whole "
-        "body by least squares (differentiable), or nothing; or no video at all: markers only",
+        "search",
+        "what video does to the pose of the markers: the body follows the search for the elbows; "
+        "then each arm is fitted by a downhill simplex, as in the paper, or the whole body by "
+        "least squares, both frame by frame; or none: markers only",
     )
     search: bool = static(
         True,
-        "look for the elbows globally and remember; without it refinement starts from the markers' "
-        "pose in every frame, as in the paper, and nothing is carried to samples between frames: "
-        "take the nearest frame then",
+        "look for the elbows globally and remember; without it frames are refined as in the paper, "
+        "from the markers' pose, and nothing is carried to samples between frames: take the "
+        "nearest frame then",
     )
-    balance: Literal["before", "after", "none"] = static(
-        "before",
-        "when the spine bows in a squat: before the video refines the pose, so that the markers "
-        "are met again; or after it, and nothing else moves, as in the paper",
-    )
+    balance: bool = static(True, "the spine bows in a squat, so that the body stands in balance")
     region: int = static(
-        160, "pixels along a side of a region of interest, in which edges are found"
+        160, "pixels along a side of a region of interest, in which edges are found", (16, 1024)
     )
-    spacing: int = static(2, "of them per sample of the distance fields")
+    spacing: int = static(2, "of them per sample of the distance fields", (1, 8))
     directions: int = static(
-        6, "channels into which edges are sorted for outlines; 1 is a plain field, as for coverage"
+        6, "channels into which edges are sorted; 1 is a plain field, as in the paper"
     )
-    edge_detection: EdgeSettings = static(EdgeSettings(), "how edges are found")
+    edge_detection: EdgeSettings = group(EdgeSettings, "how edges are found")
     smooth: bool = static(True, "smooth over time, what the first paper does not")
-    margin: Array = traced(0.35, "around a region, as a fraction of the arm's extent")
+    low_pass: Array = traced(
+        0.0,
+        "cut-off of a low-pass over poses that are found frame by frame, hertz; 0 for none. It "
+        "looks ahead",
+        least=0,
+    )
+    margin: Array = traced(0.35, "around a region, as a fraction of the arm's extent", least=0)
     ik: IKSettings = group(IKSettings, "of inverse kinematics")
     edges: EdgeEvidence = group(EdgeEvidence, "of distances to edges")
     elbow_search: ElbowSearchSettings = group(ElbowSearchSettings, "of the search for elbows")
@@ -187,12 +191,15 @@ class Settings:
 
     @classmethod
     def paper(cls) -> "Settings":
-        """The first paper's own way: plain edges, its sum, the simplex, one pass, no memory."""
+        """The first paper's own way (``hybrid.paper``): algorithm 1, plain edges, (13), simplex."""
         return cls(
-            search=False, balance="after", spacing=1, smooth=False,
-            edge_detection=EdgeSettings(equalise=True, memory=0.0),
+            refine="simplex", search=False, spacing=1, directions=1, smooth=False,
+            edge_detection=EdgeSettings(
+                equalise="image", blur_first=False, canny="thresholds", memory=0.0
+            ),
             ik=IKSettings(solver="sdls", feet="stand"),
-            edges=EdgeEvidence(compared="coverage", drawn=True),
+            edges=Chamfer(),
+            simplex=SimplexSettings(iterations=60),  # type: ignore[arg-type]
         )  # fmt: skip
 
     @property
@@ -205,7 +212,21 @@ class Settings:
         """Along a side of a distance field."""
         return self.region // self.spacing
 
-    @property
-    def channels(self) -> int:
-        """Distance fields of an arm: an area has no direction."""
-        return self.directions if self.edges.compared == "outline" else 1
+
+def unused_setting(settings: Settings, smooth: bool, causal: bool = False) -> str | None:
+    """A sentence where something was chosen that has no part in what is to be done.
+
+    Args:
+        settings: that were chosen.
+        smooth: whether poses are smoothed over time.
+        causal: whether nothing may look ahead.
+    """
+    if smooth and settings.refine not in ("none", "search"):
+        return (
+            f'found refine = "{settings.refine}", which fits frame by frame and has no part in '
+            'smoothed poses: expected "search" or "none", or smooth = false, or --paper'
+        )
+    if (smooth or causal) and (cutoff := float(settings.low_pass)) > 0:
+        why = "has no part in smoothed poses" if smooth else "looks ahead, as no live run can"
+        return f"found low_pass = {cutoff:g}, which {why}: expected 0, or track with smooth = false"
+    return None

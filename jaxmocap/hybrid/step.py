@@ -1,7 +1,7 @@
 """A step of the tracker as pure functions of arrays, alone and over many events at once.
 
     solve_event    markers -> pose (section 4), and the regions where it puts the arms
-    refine_event   pose, fields of edges -> search and simplex (5.1, 5.2), balance (5.3)
+    refine_one     pose, fields of edges -> search, balance (5.3), fit (5.2)
     scans          both over many events, without leaving the device in between
 
 ``solve_event`` reads its own last pose only, so regions are settled before any image is looked at.
@@ -35,6 +35,7 @@ from jaxmocap.hybrid.elbow_search import ElbowBelief
 from jaxmocap.hybrid.feet import FootPlacement, place
 from jaxmocap.hybrid.ik import solve_ik
 from jaxmocap.hybrid.observe import ArmThresholds, arm_regions, edge_fields
+from jaxmocap.hybrid.paper.frame import refine_frame
 from jaxmocap.hybrid.refine import Solved, StepReport, refine_event
 from jaxmocap.hybrid.settings import Settings
 
@@ -95,7 +96,7 @@ class EventFields(NamedTuple):
 
 def balanced_by(model: Model, settings: Settings) -> Array:
     """(S,) p_i of the balance heuristic, of a person with S hinges of the spine; 0 without it."""
-    if settings.balance == "none":
+    if not settings.balance:
         return jnp.zeros(len(spine_dofs(model.skeleton)), model.dtype)
     return bow_factors(model.skeleton, settings.ik)
 
@@ -142,6 +143,11 @@ def solve_events(
     return jax.lax.scan(one, first, markers)
 
 
+def refine_one(model: Model, settings: Settings, *rest: Any) -> tuple:
+    """An event's ``refine_event``, or where nothing is searched the first paper's frame."""
+    return (refine_event if settings.search else refine_frame)(model, settings, *rest)
+
+
 class RefineInputs(NamedTuple):
     """What ``refine_event`` needs of E events.
 
@@ -177,7 +183,7 @@ def refine_events(
         if events.fields is not None:
             distances, available, _ = map(jnp.asarray, events.fields)
             fields = EdgeFields(solved.region, distances[which], available[which])
-        last, pose, report = refine_event(
+        last, pose, report = refine_one(
             model, settings, bow_factors, solved, targets, fields, last, elapsed
         )
         return last, (pose, report)
@@ -192,8 +198,8 @@ def refine_events(
 PLACE = Program(place, "place", effort="once")
 BALANCE = Program(balanced_by, "balance", effort="once")
 SOLVE = Program(solve_event, "solve", effort="quick")
-REFINE = Program(refine_event, "refine", effort="full")
-SEARCH = Program(refine_event, "search", effort="quick")
+REFINE = Program(refine_one, "refine", effort="full")
+SEARCH = Program(refine_one, "search", effort="quick")
 REFINE_EVENTS = Program(refine_events, "refine_events", effort="quick")
 
 

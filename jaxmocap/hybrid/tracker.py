@@ -95,15 +95,6 @@ class HybridTracker:
         sites = marker_sites(recording.skeleton, recording.places)
         return cls(recording.skeleton, cameras, settings, sites)
 
-    def by_search(self) -> "HybridTracker":
-        """The same, where nothing follows the search for the elbows."""
-        if self.settings.refine in ("none", "search"):
-            return self
-        other = object.__new__(HybridTracker)
-        other.model, other._programs = self.model, {}
-        other.settings = replace(self.settings, refine="search")
-        return other
-
     def compile_ahead(self, scan: bool = False) -> None:
         """Begin to compile what ``init`` and ``step``, or ``scan``, need, in threads beside."""
         self._solving()

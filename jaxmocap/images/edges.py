@@ -6,43 +6,74 @@ normal into channels, each with a distance field of its own. One channel is the 
 INPUTS: a crop of a video frame, uint8. OUTPUTS: distances to the nearest edge, float32, pixels.
 """
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
 
+from jaxmocap.compilation.settings import settings, static
+
 # Of a Gaussian of this standard deviation 99 % lie within five pixels.
 WIDEST_OF_FIVE = 1.0
+LEVELS = 256
 
 
-@dataclass(frozen=True)
+@settings
 class EdgeSettings:
-    """How edges are found.
+    """How edges are found."""
 
-    Attributes:
-        blur: standard deviation of the Gaussian low-pass, pixels of the crop.
-        equalise: equalise the histogram first, as the paper does. Over a moving region it flickers,
-            so the default takes Canny's thresholds from the gradients' percentiles instead.
-        percentiles: of the gradient's magnitude, Canny's low and high threshold.
-        floor: least high threshold (L1 gradient of 8-bit grey): below it lies the sensor's noise.
-        memory: share of the last frame's thresholds in the present ones.
-        farthest: distances are cut off here, pixels of the crop: farther edges are some other
-            thing's.
-    """
-
-    blur: float = 1.0
-    equalise: bool = False
-    percentiles: tuple[float, float] = (75.0, 90.0)
-    floor: float = 40.0
-    memory: float = 0.8
-    farthest: float = 20.0
+    blur: float = static(1.0, "standard deviation of the Gaussian low-pass, pixels", (0, 20))
+    equalise: Literal["none", "region", "image"] = static(
+        "none",
+        "whose histogram is equalised; a region flickers as it moves, and where it shows a bare "
+        "wall its noise is raised",
+    )
+    blur_first: bool = static(
+        True, "the low-pass comes before the equalising, as in the paper; else after it"
+    )
+    canny: Literal["percentiles", "thresholds"] = static(
+        "percentiles", "Canny's two thresholds: by the region's gradients, or the same in all"
+    )
+    percentiles: tuple[float, float] = static(
+        (75.0, 90.0), "of the gradient's magnitude in the region, low and high", (0, 100)
+    )
+    thresholds: tuple[float, float] = static(
+        (50.0, 150.0), "low and high, L1 gradient of 8-bit grey", (0, 2040)
+    )
+    floor: float = static(
+        40.0, "least high threshold by percentiles: below it lies the sensor's noise", (0, 2040)
+    )
+    memory: float = static(
+        0.8,
+        "share of the last frame's percentiles and levels of grey in the present ones; 1 keeps "
+        "those of the first frame",
+        (0, 1),
+    )
+    farthest: float = static(
+        20.0,
+        "distances are cut off here, pixels of the region: farther edges are some other thing's",
+        (1, 1000),
+    )
 
 
 class Thresholds(NamedTuple):
-    """Canny's thresholds, smoothed over the frames; None before the first."""
+    """What the next frame begins with; None before the first.
+
+    Attributes:
+        low_high: (2,) Canny's thresholds by percentiles.
+        levels: (256,) that equalise the histogram, by grey.
+    """
 
     low_high: np.ndarray | None = None
+    levels: np.ndarray | None = None
+
+
+class Edges(NamedTuple):
+    """Canny's edges (H, W), uint8, 255 on edges, and Sobel's derivatives (H, W), int16, there."""
+
+    image: np.ndarray
+    dx: np.ndarray
+    dy: np.ndarray
 
 
 def to_grey(image: np.ndarray) -> np.ndarray:
@@ -50,30 +81,54 @@ def to_grey(image: np.ndarray) -> np.ndarray:
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
-def gradients(grey: np.ndarray, settings: EdgeSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Sobel's derivatives (H, W), int16, by x and by y, of the smoothed image."""
-    if settings.blur > 0:
-        # For 5 x 5 OpenCV has a way of its own, three times as fast as for 7 x 7; equalising would
-        # raise what that leaves.
-        narrow = settings.blur <= WIDEST_OF_FIVE and not settings.equalise
-        grey = cv2.GaussianBlur(grey, (5, 5) if narrow else (0, 0), settings.blur)
-    if settings.equalise:
-        grey = cv2.equalizeHist(grey)
-    dx, dy = cv2.spatialGradient(grey)
-    return dx, dy
-
-
-def edge_image(
-    dx: np.ndarray, dy: np.ndarray, settings: EdgeSettings, thresholds: Thresholds
+def equalised(
+    grey: np.ndarray, settings: EdgeSettings, before: Thresholds
 ) -> tuple[np.ndarray, Thresholds]:
-    """Canny's edges (H, W) uint8, 255 on edges; the thresholds for the next frame."""
+    """An image of equal shares of all grey levels (H, W), and what the next frame begins with."""
+    if settings.blur_first and settings.blur > 0:
+        # The narrow kernel leaves what equalising would raise.
+        grey = cv2.GaussianBlur(grey, (0, 0), settings.blur)
+    below = np.cumsum(np.bincount(grey.ravel(), minlength=LEVELS))
+    first, last = below[int(grey.min())], below[-1]
+    levels = np.arange(LEVELS, dtype=float)
+    if last > first:
+        levels = np.maximum(below - first, 0) * ((LEVELS - 1) / (last - first))
+    if before.levels is not None:
+        levels = _mixed(settings, before.levels, levels)
+    return cv2.LUT(grey, np.rint(levels).astype(np.uint8)), before._replace(levels=levels)
+
+
+def find_edges(
+    grey: np.ndarray, settings: EdgeSettings, before: Thresholds
+) -> tuple[Edges, Thresholds]:
+    """Canny's edges of a region.
+
+    Args:
+        grey: (H, W) uint8, of an image that is equalised where the settings say so.
+        settings: how edges are found.
+        before: of this region, after the last frame.
+    """
+    if settings.equalise == "region":
+        grey, before = equalised(grey, settings, before)
+    if settings.blur > 0 and (settings.equalise == "none" or not settings.blur_first):
+        # For 5 x 5 OpenCV has a way of its own, three times as fast as for 7 x 7.
+        size = (5, 5) if settings.blur <= WIDEST_OF_FIVE else (0, 0)
+        grey = cv2.GaussianBlur(grey, size, settings.blur)
+    dx, dy = cv2.spatialGradient(grey)
+    if settings.canny == "thresholds":
+        return Edges(cv2.Canny(dx, dy, *settings.thresholds), dx, dy), before
     # Every third row and column is enough for a percentile.
     sample = np.abs(dx[::3, ::3]) + np.abs(dy[::3, ::3])
-    now = np.array(percentiles(sample.ravel(), settings.percentiles))
-    now = np.maximum(now, (settings.floor / 2, settings.floor))
-    last = thresholds.low_high
-    mixed = now if last is None else settings.memory * last + (1 - settings.memory) * now
-    return cv2.Canny(dx, dy, float(mixed[0]), float(mixed[1])), Thresholds(mixed)
+    low_high = np.array(percentiles(sample.ravel(), settings.percentiles))
+    low_high = np.maximum(low_high, (settings.floor / 2, settings.floor))
+    if before.low_high is not None:
+        low_high = _mixed(settings, before.low_high, low_high)
+    edges = cv2.Canny(dx, dy, float(low_high[0]), float(low_high[1]))
+    return Edges(edges, dx, dy), before._replace(low_high=low_high)
+
+
+def _mixed(settings: EdgeSettings, last: np.ndarray, now: np.ndarray) -> np.ndarray:
+    return settings.memory * last + (1 - settings.memory) * now
 
 
 def percentiles(values: np.ndarray, percents: tuple[float, ...]) -> list[float]:
@@ -148,10 +203,9 @@ def distance_fields(
         The fields, in samples of theirs, cut off at ``farthest``; the crop's
         edges (H, W); the thresholds for the next frame.
     """
-    dx, dy = gradients(grey, settings)
-    edges, after = edge_image(dx, dy, settings, thresholds)
-    channel_edges = by_direction(edges, dx, dy, channels, spacing)
+    edges, after = find_edges(grey, settings, thresholds)
+    channel_edges = by_direction(*edges, channels, spacing)
     fields = np.empty(channel_edges.shape, np.float32) if out is None else out
     for channel, field in zip(channel_edges, fields, strict=True):
         distance_field(channel, settings.farthest / spacing, field)
-    return fields, edges, after
+    return fields, edges.image, after

@@ -40,6 +40,10 @@ class Uncertainty:
     centres: np.ndarray
     deviations: np.ndarray
 
+    def part(self, rows: slice) -> "Uncertainty":
+        """Some of the samples."""
+        return Uncertainty(self.times[rows], self.centres[rows], self.deviations[rows])
+
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray] | None:
         """Centres and deviations (L, 3) at a time, as ``BodyScene.at`` has them."""
         if (between := neighbours(self.times, time)) is None:

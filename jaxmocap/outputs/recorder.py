@@ -7,7 +7,7 @@ Meshes are sent once, poses as columns. Entities: ``world/floor``, ``world/body/
 ``series_recorder`` log the images and the time series.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,10 +16,10 @@ import numpy as np
 import rerun as rr
 from rerun.blueprint import Blueprint
 
-from jaxmocap.body.motion import Motion, landmarks_over_time
 from jaxmocap.body.tree import Tree
 from jaxmocap.geometry.rotations import quaternion_from_matrix
 from jaxmocap.geometry.solids import Solid
+from jaxmocap.outputs.ellipses import Uncertainty
 from jaxmocap.outputs.floor import Floor
 from jaxmocap.outputs.layout import TIMELINE, entity_path
 from jaxmocap.outputs.scene import BodyScene
@@ -43,8 +43,8 @@ DEVIATION_COLOUR = (90, 110, 190, 45)
 def recording(path: Path, blueprint: Blueprint) -> Iterator[rr.RecordingStream]:
     """A stream into a file, which is written at the end.
 
-    Until then it is in memory, which holds the few images and surfaces. On a full disk the
-    library's own files end without an error, or it waits for ever.
+    Until then it is in memory, which holds some 2 kB a sample, the few images and surfaces. On a
+    full disk the library's own files end without an error, or it waits for ever.
 
     Raises:
         OSError: the file cannot be written.
@@ -60,18 +60,8 @@ def recording(path: Path, blueprint: Blueprint) -> Iterator[rr.RecordingStream]:
         stream.disconnect()
 
 
-def log_body(
-    stream: rr.RecordingStream, scene: BodyScene, pieces: Mapping[str, Solid], floor: Floor | None
-) -> None:
-    """The body's pieces, moved by their bones' transforms; the skeleton as lines; the floor.
-
-    Args:
-        stream: of the recording.
-        scene: the body over time.
-        pieces: bone -> its mesh; none where a surface is shown instead.
-        floor: under the body, or None.
-    """
-    log_pieces(stream, scene.tree, pieces, floor)
+def log_body(stream: rr.RecordingStream, scene: BodyScene) -> None:
+    """The poses of the body of ``log_pieces``: its bones' transforms, the skeleton as lines."""
     wxyz = np.asarray(quaternion_from_matrix(jnp.asarray(scene.R_world_bone)))
     for i, bone in enumerate(scene.tree.bones):
         turns = np.roll(wxyz[:, i], -1, axis=-1)
@@ -122,37 +112,39 @@ def _square(floor: Floor) -> Solid:
     return Solid(vertices, np.tile([0.0, 0.0, 1.0], (4, 1)), np.array([[0, 1, 2], [0, 2, 3]]))
 
 
+def log_styles(stream: rr.RecordingStream, targets: Iterable[str]) -> None:
+    """What of measured markers and of deviations is sent once."""
+    for name in targets:
+        style = rr.Points3D.from_fields(
+            radii=0.012, colors=TARGET_COLOUR, labels=name, show_labels=False
+        )
+        stream.log(entity_path("world", "markers", name), style, static=True)
+    style = rr.Ellipsoids3D.from_fields(
+        colors=DEVIATION_COLOUR, fill_mode=rr.components.FillMode.Solid
+    )
+    stream.log("world/deviations", style, static=True)
+
+
 def log_targets(
     stream: rr.RecordingStream, times: np.ndarray, targets: Mapping[str, np.ndarray]
 ) -> None:
     """Measured markers as points; none where one is missing."""
     for name, positions in targets.items():
         entity = entity_path("world", "markers", name)
-        style = rr.Points3D.from_fields(
-            radii=0.012, colors=TARGET_COLOUR, labels=name, show_labels=False
-        )
-        stream.log(entity, style, static=True)
         is_visible = np.isfinite(positions).all(-1)
         columns = rr.Points3D.columns(positions=np.asarray(positions)[is_visible])
         stream.send_columns(entity, [at_times(times)], columns.partition(is_visible.astype(int)))
 
 
-def log_deviations(stream: rr.RecordingStream, motion: Motion) -> None:
+def log_deviations(stream: rr.RecordingStream, uncertainty: Uncertainty) -> None:
     """An ellipsoid of one standard deviation about each landmark that deviates by much."""
-    report = motion.report
-    if report is None:
-        return
-    centres = landmarks_over_time(motion.skeleton, motion.poses)
-    deviations = np.asarray(report.landmarks_std, float)
+    times, centres = uncertainty.times, uncertainty.centres
+    deviations = uncertainty.deviations
     spread = np.sqrt(np.sum(deviations**2, -1))
     is_shown = np.isfinite(centres).all(-1) & (spread > SHOWN_DEVIATION_M)
-    style = rr.Ellipsoids3D.from_fields(
-        colors=DEVIATION_COLOUR, fill_mode=rr.components.FillMode.Solid
-    )
-    stream.log("world/deviations", style, static=True)
     columns = rr.Ellipsoids3D.columns(centers=centres[is_shown], half_sizes=deviations[is_shown])
     counts = columns.partition(is_shown.sum(1).astype(int))
-    stream.send_columns("world/deviations", [at_times(motion.times)], counts)
+    stream.send_columns("world/deviations", [at_times(times)], counts)
 
 
 def send_strips(

@@ -3,7 +3,7 @@
 INPUTS: a Motion, a Camera. OUTPUTS: NumPy arrays, world (metres) or pixels (x, y).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import forward
-from jaxmocap.body.motion import Motion
+from jaxmocap.body.motion import Motion, in_blocks
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.cones import cones
@@ -45,6 +45,11 @@ class BodyScene:
     far: np.ndarray
     radii: np.ndarray
 
+    def part(self, rows: slice) -> "BodyScene":
+        """Some of the samples."""
+        names = ("times", "R_world_bone", "near", "far")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray] | None:
         """Near and far ends (B, 3) at a time, between the samples on a straight line.
 
@@ -71,15 +76,13 @@ def neighbours(times: np.ndarray, time: float) -> tuple[int, int, float] | None:
 
 def make_scene(motion: Motion) -> BodyScene:
     """Place every bone of a motion in the world."""
-    dtype = motion.skeleton.lengths.dtype
-    poses = Pose(*(jnp.asarray(part, dtype) for part in motion.poses))
-    R, near, far = _place(motion.skeleton, poses)
+    R, near, far = in_blocks(_place, motion.skeleton, motion.poses)
     return BodyScene(
         motion.skeleton.tree,
         np.asarray(motion.times, float),
-        np.asarray(R),
-        np.asarray(near),
-        np.asarray(far),
+        R,
+        near,
+        far,
         np.asarray(motion.skeleton.diameters) / 2,
     )
 

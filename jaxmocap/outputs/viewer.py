@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxmocap.body.motion import Motion
+from jaxmocap.body.motion import Motion, every_nth
 from jaxmocap.body.surfaces.pieces import body_pieces
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.formats.files.writing import replacing
@@ -23,6 +23,11 @@ from jaxmocap.outputs.scene import BodyScene, make_scene
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
+
+# Samples of a motion in a recording, at most: 50 minutes at 30 Hz.
+MOST_SAMPLES = 90_000
+# Samples that the viewer's library takes at once: it needs twenty times what they are in the file.
+SAMPLES_AT_ONCE = 8192
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,11 @@ class Footage:
     fields: Mapping[str, Iterable[tuple[float, np.ndarray]]] = field(default_factory=dict)
 
 
+def shown_every(motion: Motion) -> int:
+    """One sample in so many is in a recording: 1 for ``MOST_SAMPLES`` and fewer."""
+    return -(-len(motion.times) // MOST_SAMPLES)
+
+
 def write_rerun(
     path: str | Path,
     motion: Motion,
@@ -51,7 +61,8 @@ def write_rerun(
 ) -> None:
     """Write a recording that ``rerun FILE`` shows, laid out in a prepared blueprint.
 
-    The timeline "time" holds seconds of marker time.
+    The timeline "time" holds seconds of marker time. Of a long motion one sample in
+    ``shown_every`` is shown.
 
     Args:
         path: of the .rrd file; it appears when it is complete.
@@ -67,17 +78,27 @@ def write_rerun(
     """
     from jaxmocap.outputs import layout, recorder, series_recorder, viewer_skin
 
-    footage, targets = dict(footage or {}), dict(targets or {})
+    footage, step = dict(footage or {}), shown_every(motion)
+    motion = every_nth(motion, step)
+    targets = {name: positions[::step] for name, positions in (targets or {}).items()}
     scene, pieces = make_scene(motion), body_pieces(motion.skeleton)
     floor, uncertainty = floor_of(scene, pieces), uncertainty_of(motion)
     fields = {name: list(shot.fields) for name, shot in footage.items()}
     blueprint = layout.lay_out(fields, scene, floor)
+    shown = {} if surface else pieces
     with replacing(path) as beside, recorder.recording(beside, blueprint) as stream:
-        recorder.log_body(stream, scene, {} if surface else pieces, floor)
+        recorder.log_pieces(stream, scene.tree, shown, floor)
+        recorder.log_styles(stream, targets)
+        for first in range(0, len(scene.times), SAMPLES_AT_ONCE):
+            rows = slice(first, first + SAMPLES_AT_ONCE)
+            recorder.log_body(stream, scene.part(rows))
+            recorder.log_targets(
+                stream, scene.times[rows], {name: at[rows] for name, at in targets.items()}
+            )
+            if uncertainty is not None:
+                recorder.log_deviations(stream, uncertainty.part(rows))
         if surface is not None:
             viewer_skin.log_skin(stream, motion, surface, picture)
-        recorder.log_deviations(stream, motion)
-        recorder.log_targets(stream, scene.times, targets)
         series_recorder.log_angles(stream, motion)
         if motion.report is not None:
             series_recorder.log_report(stream, scene.times, motion.report)

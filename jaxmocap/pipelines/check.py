@@ -3,19 +3,26 @@
 INPUTS: a Recording. OUTPUTS: plain text; a dict for JSON; InputError where tracking is hopeless.
 """
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import islice
 from typing import Any
 
+from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.calibration.static_trial import measured_bones
-from jaxmocap.capture.checks.body_reach import skeleton_stature
+from jaxmocap.capture.background_pictures import read_empty_room
 from jaxmocap.capture.checks.cameras import MarkerVisibility, check_recording, marker_visibility
 from jaxmocap.capture.checks.finding import Finding
+from jaxmocap.capture.checks.lengths import bone_list, check_stretched_arms
 from jaxmocap.capture.footage import open_unchecked
+from jaxmocap.capture.keypoints import open_keypoints
 from jaxmocap.capture.markers import median_interval
+from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.marker_sets.sets import MarkerSet
-from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.recordings.recording import Recording, VideoSource
+
+# Frames of a video that are decoded, from its first: 100 s at 30 Hz.
+MOST_DECODED = 3000
 
 
 @dataclass(frozen=True)
@@ -77,7 +84,7 @@ class RecordingCheck:
         bones = self.recording.skeleton.tree.bones
         rest = [bone for bone in bones if bone not in self.measured_bones]
         parts = {"measured": self.measured_bones, "by the height": rest}
-        return "; ".join(f"{basis}: {_bone_list(each)}" for basis, each in parts.items() if each)
+        return "; ".join(f"{basis}: {bone_list(each)}" for basis, each in parts.items() if each)
 
     def _others(self) -> list[Finding]:
         """The findings but for a first one that is fatal."""
@@ -88,16 +95,6 @@ class RecordingCheck:
         if self.findings and self.findings[0].fatal:
             where = self.recording.path or self.recording.name
             raise InputError(where, self.findings[0].sentence)
-
-
-def _bone_list(bones: Sequence[str]) -> str:
-    """Names of bones; without side where both sides are among them."""
-    return ", ".join(
-        dict.fromkeys(
-            bone[:-2] if {f"{bone[:-2]}_l", f"{bone[:-2]}_r"} <= set(bones) else bone
-            for bone in bones
-        )
-    )
 
 
 def _set_figures(marker_set: MarkerSet | None) -> dict[str, Any] | None:
@@ -119,11 +116,31 @@ def _view_line(view: MarkerVisibility) -> str:
 
 
 def check(recording: Recording) -> RecordingCheck:
-    """Check a recording as ``track`` does before it begins."""
+    """Check a recording as ``track`` does before it begins, and what its videos hold.
+
+    Raises:
+        InputError: a file of it cannot be used.
+    """
     videos, warnings = open_unchecked(recording.require_markers())
     times = [video.times for video in videos]
+    for source, video in zip(recording.videos, videos, strict=True):
+        warnings += _video_warnings(source, video)
     views = [
         marker_visibility(recording, *each) for each in zip(recording.videos, times, strict=True)
     ]
     measured = () if recording.path is None else measured_bones(recording.path)
-    return RecordingCheck(recording, check_recording(recording, times), views, warnings, measured)
+    findings = [*check_recording(recording, times), *check_stretched_arms(recording, measured)]
+    return RecordingCheck(recording, findings, views, warnings, measured)
+
+
+def _video_warnings(source: VideoSource, video: FrameSource) -> tuple[str, ...]:
+    """About a video's key points and frames; InputError for these or its background."""
+    if source.background is not None:
+        read_empty_room(source.background, video.size)
+    keypoints = open_keypoints(source, video)
+    frames = list(islice((image is None for _, image in video.frames(luma=True)), MOST_DECODED))
+    warnings = () if keypoints is None else tuple(keypoints.warnings)
+    if not (broken := sum(frames)):
+        return warnings
+    sentence = f"{video.name}: {broken} of {len(frames)} frames cannot be decoded, they are missing"
+    return (*warnings, sentence)

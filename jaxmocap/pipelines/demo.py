@@ -14,7 +14,7 @@ from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import marker_sites
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import relaxed_pose
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import WINTER, Skeleton
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.plots import plot_elbow_errors
@@ -136,7 +136,7 @@ def compiled_tracker() -> HybridTracker:
 
 def standing_recording(count: int) -> Recording:
     """Somebody with the demo's markers who stands still before a grey wall, for so many frames."""
-    skeleton, camera = Skeleton.human(HEIGHT_M), webcam()
+    skeleton, camera = Skeleton.human(HEIGHT_M, proportions=WINTER), webcam()
     places = tuple(MarkerPlace(name, **place) for name, place in marker_places().items())
     sites = marker_sites(skeleton, places)
     points = site_positions(skeleton, forward(skeleton, relaxed_pose(skeleton)), sites)

@@ -114,23 +114,20 @@ def write_retargeted(
         What was written.
 
     Raises:
-        OutputError: the disk is full; what was there is as it was.
+        OutputError: the disk is full; every file that is there is complete.
     """
-    return folder.write(partial(_write, motions, warn))
+    motion, skin = motions.retargeted, (motions.surface, motions.picture)
+    files = folder.write(lambda stage: write_motion(motion, stage, *skin, warn))
+    return files + folder.write(partial(_write_pictures, motions))
 
 
-def _write(motions: RetargetedMotion, warn: Warn, folder: Path) -> list[Path]:
-    """All files into a folder that is there."""
-    surface, picture = motions.surface, motions.picture
-    files = [
-        *write_motion(motions.retargeted, folder, surface, picture, warn),
-        folder / VIEWER_FILE,
-    ]
+def _write_pictures(motions: RetargetedMotion, folder: Path) -> list[Path]:
+    """The viewer's recording and the picture."""
+    files, picture = [folder / VIEWER_FILE, folder / PICTURE_FILE], motions.picture
     colours = None if picture is None else picture_of(folder, picture)
-    write_rerun(files[-1], motions.retargeted, surface=surface, picture=colours)
-    files.append(folder / PICTURE_FILE)
+    write_rerun(files[0], motions.retargeted, surface=motions.surface, picture=colours)
     people = {"as tracked": motions.tracked, "as played": motions.retargeted}
-    plot_stick_figures(files[-1], people)
+    plot_stick_figures(files[1], people)
     return files
 
 

@@ -19,11 +19,11 @@ from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import read_toml
-from jaxmocap.formats.recordings.live import LiveSetup, load_live
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.demo import standing_recording
 from jaxmocap.pipelines.kept_programs import cache_folder, keep_compiled
+from jaxmocap.pipelines.live.setup import LiveSetup, load_live
 from jaxmocap.pipelines.live.tracking import LiveTracking
 from jaxmocap.pipelines.tracking.track import make_tracker, track
 

@@ -5,7 +5,7 @@ OUTPUTS: joints.trc, angles.mot, angles_isb.mot, motion.npz, motion.bvh, motion.
 recording.rrd, overlay_NAME.mp4 of each camera, angles_opensim.mot where it is asked for.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,11 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.arms import limb_bones
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.capture.footage import open_footage
-from jaxmocap.capture.video import FrameSource, TimedImage
+from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import save_motion
@@ -27,18 +26,19 @@ from jaxmocap.formats.recordings.recording_files import input_files
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP, Z_UP, to_world
 from jaxmocap.formats.time_series.mot import write_isb, write_mot
 from jaxmocap.formats.time_series.trc import write_trc
-from jaxmocap.geometry.cameras import Camera, turned
+from jaxmocap.geometry.cameras import turned
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.images.edges import Thresholds, edge_image, gradients
-from jaxmocap.images.regions import Region, crop, region_around
 from jaxmocap.outputs.overlay import write_overlay
 from jaxmocap.outputs.report import write_report
-from jaxmocap.outputs.scene import make_scene, pixels
-from jaxmocap.outputs.viewer import Footage, write_rerun
+from jaxmocap.outputs.viewer import Footage, shown_every, write_rerun
 from jaxmocap.pipelines.progress import Progress, progress_bar
+from jaxmocap.pipelines.viewer_frames import (
+    FrameCounter,
+    arm_edges,
+    viewer_frame_count,
+    viewer_frames,
+)
 
-# Frames of a camera in the viewer's recording, at most.
-MOST_VIEWER_FRAMES = 300
 # Runs that write a motion into a folder replace each other's files.
 MOTION = "motion"
 # The files of a motion, in the order in which they are written.
@@ -119,7 +119,8 @@ def write_outputs(
     Args:
         motion: tracked from the recording.
         recording: with its videos.
-        directory: is made where missing; it changes when everything is complete.
+        directory: is made where missing. The motion's files and the report move into place
+            before any picture is drawn; what an earlier run drew goes with them.
         settings: of the tracker, for the edges that the viewer shows.
         progress: called with the frames drawn and their total; True shows a bar
             on stderr; None does so on a terminal.
@@ -131,10 +132,15 @@ def write_outputs(
 
     Raises:
         InputError: see ``tracked_folder``.
-        OutputError: the disk is full; what was there is as it was.
+        OutputError: the disk is full; every file that is there is complete.
     """
-    return tracked_folder(directory, recording, formats.more_files).write(
-        lambda stage: write_tracked(motion, recording, stage, settings, progress, warn, formats)
+    folder = tracked_folder(directory, recording, formats.more_files)
+    videos, warnings = open_footage(recording)
+    files = folder.write(
+        lambda stage: _write_numbers(motion, recording, warnings, stage, warn, formats)
+    )
+    return files + folder.write(
+        lambda stage: _write_pictures(motion, recording, videos, stage, settings, progress)
     )
 
 
@@ -144,25 +150,50 @@ def write_tracked(
     folder: Path,
     settings: Settings | None = None,
     progress: Progress | bool | None = None,
-    warn: Warn = ignore_warning,
-    formats: MotionFormats = USUAL_FORMATS,
 ) -> list[Path]:
     """The same into an existing folder, without any check of it."""
     videos, warnings = open_footage(recording)
-    recording = with_refined_cameras(recording, motion)
+    files = _write_numbers(motion, recording, warnings, folder)
+    return files + _write_pictures(motion, recording, videos, folder, settings, progress)
+
+
+def _write_numbers(
+    motion: Motion,
+    recording: Recording,
+    warnings: Iterable[str],
+    folder: Path,
+    warn: Warn = ignore_warning,
+    formats: MotionFormats = USUAL_FORMATS,
+) -> list[Path]:
+    """The motion and its report, with warnings about the recording."""
     motion_warnings: list[str] = []
     files = write_motion(motion, folder, warn=motion_warnings.append, formats=formats)
     files.append(folder / "report.json")
-    warnings = [*warnings, *motion_warnings]
-    extra = {"recording": recording.path or recording.name, "warnings": warnings}
+    extra = {
+        "recording": recording.path or recording.name,
+        "warnings": [*warnings, *motion_warnings],
+    }
     write_report(files[-1], motion, extra)
     for sentence in motion_warnings:
         warn(sentence)
+    return files
+
+
+def _write_pictures(
+    motion: Motion,
+    recording: Recording,
+    videos: list[FrameSource],
+    folder: Path,
+    settings: Settings | None,
+    progress: Progress | bool | None,
+) -> list[Path]:
+    """The overlays and the viewer's recording."""
+    recording = with_refined_cameras(recording, motion)
     targets = marker_tracks(recording)
     with progress_bar("drawing", progress) as show:
         total = sum(len(video) + viewer_frame_count(video) for video in videos)
         counter = FrameCounter(show, total)
-        files += write_overlays(motion, recording, videos, folder, targets, counter)
+        files = write_overlays(motion, recording, videos, folder, targets, counter)
         files.append(folder / "recording.rrd")
         footage = {
             source.camera_name: Footage(
@@ -192,7 +223,7 @@ def write_motion(
         surface: motion.glb's skin.
         picture: its colours.
         warn: called with a sentence for each file that cannot hold the motion and is left out, or
-            whose angles step.
+            whose angles step, and where recording.rrd will not show every sample.
         formats: how the files are written.
 
     Returns:
@@ -214,6 +245,8 @@ def write_motion(
     for path, of_file in sentences.items():
         for sentence in of_file:
             warn(f"{path.name}: {sentence}")
+    if (step := shown_every(motion)) > 1:
+        warn(f"recording.rrd: one sample in {step}, the other files have all")
     return files
 
 
@@ -242,7 +275,7 @@ def write_overlays(
     videos: list[FrameSource],
     folder: Path,
     targets: Mapping[str, np.ndarray],
-    counter: "FrameCounter",
+    counter: FrameCounter,
 ) -> list[Path]:
     """A video of each camera."""
     files = []
@@ -259,72 +292,3 @@ def marker_tracks(recording: Recording) -> dict[str, np.ndarray]:
     """Marker -> (T, 3) measured positions, world, metres."""
     columns = np.moveaxis(recording.positions_world, 1, 0)
     return dict(zip(recording.marker_names, columns, strict=True))
-
-
-class FrameCounter:
-    """Shows every frame that is taken on a progress bar."""
-
-    def __init__(self, show: Progress, total: int):
-        self.show, self.total, self.done = show, total, 0
-
-    def over(self, frames: Iterator[TimedImage]) -> Iterator[TimedImage]:
-        """The same frames, counted."""
-        for frame in frames:
-            yield frame
-            self.done += 1
-            self.show(self.done, self.total)
-
-
-def viewer_frames(video: FrameSource, luma: bool = False) -> Iterator[TimedImage]:
-    """At most ``MOST_VIEWER_FRAMES`` frames, evenly over the video."""
-    for i, frame in enumerate(video.frames(luma)):
-        if i % _stride(video) == 0:
-            yield frame
-
-
-def viewer_frame_count(video: FrameSource) -> int:
-    """The number of frames of ``viewer_frames``."""
-    return -(-len(video) // _stride(video))
-
-
-def _stride(video: FrameSource) -> int:
-    return -(-len(video) // MOST_VIEWER_FRAMES)
-
-
-def arm_edges(
-    video: FrameSource, camera: Camera, motion: Motion, settings: Settings
-) -> dict[str, list[tuple[float, np.ndarray]]]:
-    """Canny's edges in both arms' regions of interest, at the frames of ``viewer_frames``.
-
-    Returns:
-        Name -> time and edges (S, S), uint8, 255 on edges.
-    """
-    thresholds_of = {"edges, left arm": Thresholds(), "edges, right arm": Thresholds()}
-    images: dict[str, list[tuple[float, np.ndarray]]] = {name: [] for name in thresholds_of}
-    regions = arm_regions_over_time(camera, motion, video.times, settings)
-    origins, scales = np.asarray(regions.origin), np.asarray(regions.scale)
-    times = {float(time): i for i, time in enumerate(video.times)}
-    for time, image in viewer_frames(video, luma=True):
-        i = times[time]
-        for arm, (name, thresholds) in enumerate(list(thresholds_of.items())):
-            if image is None or not np.isfinite(origins[i, arm]).all():
-                continue
-            part = crop(image, origins[i, arm], scales[i, arm], settings.region)
-            dx, dy = gradients(part, settings.edge_detection)
-            edges, thresholds_of[name] = edge_image(dx, dy, settings.edge_detection, thresholds)
-            images[name].append((time, edges))
-    return images
-
-
-def arm_regions_over_time(
-    camera: Camera, motion: Motion, times: np.ndarray, settings: Settings
-) -> Region:
-    """Regions (F, 2) around shoulder, elbow and hand of each arm at (F,) seconds; NaN unseen."""
-    scene = make_scene(motion)
-    bones = limb_bones(scene.tree)
-    missing = np.full((2, len(scene.tree.bones), 3), np.nan)
-    ends = np.array([missing if (pair := scene.at(t)) is None else pair for t in times])
-    near, far = ends[:, 0, bones], ends[:, 1, bones[:, 2:]]
-    points = np.concatenate([near[:, :, :2], far], 2)
-    margin = float(settings.margin)
-    return region_around(jnp.asarray(pixels(camera, points)), settings.region, margin)

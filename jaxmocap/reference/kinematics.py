@@ -50,9 +50,10 @@ class Frames(NamedTuple):
 
 
 def turned(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
-    """Rodrigues: a vector (3,) turned by ``angle``, radians, about a unit axis (3,)."""
-    along = np.dot(axis, vector) * axis
-    return along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector)
+    """Rodrigues: vectors (..., 3) turned by ``angle``, radians, about a unit axis (3,)."""
+    (x, y, z), along = axis, (vector @ axis)[..., None] * axis
+    across = vector @ np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])
+    return along + np.cos(angle) * (vector - along) + np.sin(angle) * across
 
 
 def quaternion_matrix(quaternion: np.ndarray) -> np.ndarray:
@@ -83,7 +84,7 @@ def forward(skeleton: Any, pose: Any) -> Frames:
         for dof, turned_bone in enumerate(tree.dof_bones):
             if turned_bone == bone:
                 axes_world[dof] = R @ axes[dof]
-                R = np.stack([turned(column, axes_world[dof], angles[dof]) for column in R.T], 1)
+                R = turned(R.T, axes_world[dof], angles[dof]).T
         R_world_bone.append(R)
     return Frames(root, np.array(R_world_bone), np.array(joints_world), axes_world)
 
@@ -123,8 +124,12 @@ def jacobian(skeleton: Any, frames: Any, bones: np.ndarray, points_world: np.nda
 
 
 def landmarks(skeleton: Any, pose: Any) -> np.ndarray:
+    """Positions (L, 3) of a pose's landmarks, world, metres."""
+    return landmark_positions(skeleton, forward(skeleton, pose))
+
+
+def landmark_positions(skeleton: Any, frames: Any) -> np.ndarray:
     """Positions (L, 3) of all landmarks, in the order of ``LANDMARK_ENDS``, world, metres."""
-    frames = forward(skeleton, pose)
     positions = []
     for name, end in LANDMARK_ENDS.values():
         bone = skeleton.tree.bone(name)

@@ -6,9 +6,11 @@ A recording goes through ``passes.run_passes``, each pass of which learns backgr
 person's shape for the next. All that a tracker remembers is in ``state.State``; all that a user may
 tune is in ``settings.Settings``. Begin with ``tracker``.
 
-Apart from persons, ``solve_contour_pose`` finds a rigid object by its contour.
+Apart from persons, ``solve_contour_pose`` finds a rigid object, a wire or a ``RigidSurface``, by
+its contour.
 """
 
 from jaxmocap.silhouette.contour_pose import ContourPose, ContourPoseSettings, solve_contour_pose
+from jaxmocap.silhouette.surfaces.rigid import RigidSurface
 
-__all__ = ["ContourPose", "ContourPoseSettings", "solve_contour_pose"]
+__all__ = ["ContourPose", "ContourPoseSettings", "RigidSurface", "solve_contour_pose"]

@@ -1,16 +1,18 @@
-"""Pose of a rigid object by its contour in space (second paper, 3.1.1 to 3.1.4, Figs. 9 to 12).
+"""Pose of a rigid object by its contour (second paper, 3.1.1 to 3.1.5, Figs. 9 to 12).
 
-INPUTS: a closed curve of any form by its Fourier descriptors; pixels of its outline in one to four
-cameras; a pose to start from.
-OUTPUTS: the pose that brings the curve onto the outlines' rays, and how far it stays from them.
+INPUTS: a closed curve of any form by its Fourier descriptors, or a surface; pixels of its outline
+in one to four cameras; a pose to start from.
+OUTPUTS: the pose that brings the contour onto the outlines' rays, and how far it stays from them.
 
     (a) the outlines' pixels become rays: Pluecker lines of the world
-    (b) each ray goes with the nearest point of the curve, and each point with the nearest ray
-    (c) one twist brings the points nearer to their rays; its exponential moves the curve
+    (b) each ray goes with the nearest point of the contour, and each point with the nearest ray
+    (c) one twist brings the points nearer to their rays; its exponential moves the object
     (d) again from (b)
 
-At first the curve has its lowest frequencies alone, of which few are caught in a wrong valley; it
-gets higher ones as the pose settles, and in the end all of them.
+A wire is its own contour. A surface's is the rim that a camera sees, new in each cycle. At first
+the object has its lowest frequencies alone, of which few are caught in a wrong valley; it gets
+higher ones as the pose settles, and in the end all of them. Then pairs that lie far off in space,
+against the others, count for nothing.
 """
 
 from collections.abc import Sequence
@@ -23,10 +25,20 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.geometry import twists
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, stack_cameras
 from jaxmocap.geometry.fourier import fourier_series
-from jaxmocap.geometry.lines import Lines, camera_lines, incidence
-from jaxmocap.geometry.rotations import HIGHEST, rotate
+from jaxmocap.geometry.lines import Lines, camera_lines
+from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.silhouette.contour_step import (
+    Rays,
+    SpaceContour,
+    StepWeights,
+    contour_of_rim,
+    contour_of_wire,
+    distances_off,
+    step_towards,
+)
+from jaxmocap.silhouette.surfaces.rigid import RigidSurface
 from jaxmocap.solvers.status import Status
 
 
@@ -34,24 +46,30 @@ class ContourPoseSettings(NamedTuple):
     """What a user may tune.
 
     Attributes:
-        harmonics: of the low-pass curves, one stage each; all of the curve's follow; static.
+        harmonics: of the low-passes, one stage each; all of the object's follow; static. Of a
+            surface, some of its own.
         low_cycles: of (b) to (d) in each of these stages.
-        cycles: of the last two stages, at most.
-        rest: a step that moves no point of the curve farther ends a stage; by the curve's radius.
-        both_ways: whether the curve's points look for rays too; the paper's look for none. Where an
-            outline shows a part of the curve only, let them not; static.
-        along_weight: of pairs along the curve, by that across, in the last stage, which brings the
-            digits; before it is 1, as in (3.11), and a curve slides along itself slowly.
+        cycles: of each of the last three stages, at most.
+        rest: a step that moves no point of the object farther ends a stage; by its radius.
+        both_ways: whether the contour's points look for rays too; the paper's look for none. Where
+            an outline shows a part of a curve only, let them not; static.
+        along_weight: of pairs along the contour, by that across, in the last two stages, which
+            bring the digits; before it is 1, as in (3.11), and contours slide along slowly.
+        deviation: least spread of pairs about their rays, by the object's radius.
+        reach: pairs farther off than this many spreads of all of them are outliers in the last
+            stage, as in ``solve_pose``; infinite for none. Before, what is far off leads the way.
         damping: share of all pairs' weight that holds what no ray determines.
         samples: of the curve, and of each outline, evenly; static.
     """
 
     harmonics: tuple[int, ...] = (1, 2, 4, 8)
-    low_cycles: Array | int = 3
-    cycles: Array | int = 60
+    low_cycles: int = 3
+    cycles: int = 60
     rest: Array | float = 1e-3
     both_ways: bool = True
-    along_weight: Array | float = 0.1
+    along_weight: float = 0.1
+    deviation: Array | float = 0.01
+    reach: float = 4.685
     damping: Array | float = 1e-6
     samples: int = 128
 
@@ -60,53 +78,58 @@ class ContourPose(NamedTuple):
     """Where the object is.
 
     Attributes:
-        T_world_object: (4, 4) from the curve's frame, metres.
-        distances: of each camera (Q,) of its rays from the curve, metres.
+        T_world_object: (4, 4) from the object's frame, metres.
+        distances: of each camera (Q,) of its rays from the contour, metres.
+        shares: of each camera (Q,) from 0, an outlier, to 1.
         cycles: (S,) made in each stage.
         status: a Status; with ``BROKEN`` the pose is the start.
     """
 
     T_world_object: np.ndarray
     distances: tuple[np.ndarray, ...]
+    shares: tuple[np.ndarray, ...]
     cycles: np.ndarray
     status: Status
 
 
-class _Rays(NamedTuple):
-    """Of C cameras, Q each, padded."""
-
-    lines: Lines
-    real: Array
-
-
 class _Stage(NamedTuple):
-    """A curve (P, 3) in the object's frame, most cycles, and the weight along the curve."""
+    """Which low-pass, -1 for the object; most cycles; what pairs count."""
 
-    curve: Array
+    level: int
+    cycles: int
+    weights: StepWeights
+
+
+class _End(NamedTuple):
+    """A pose (4, 4), cycles (S,), the last step by the radius, and the contour at the pose."""
+
+    T: Array
     cycles: Array
-    along_weight: Array
+    moved: Array
+    contour: SpaceContour
 
 
 def solve_contour_pose(
-    descriptors: np.ndarray,
+    shape: np.ndarray | RigidSurface,
     cameras: Sequence[Camera],
     outlines: Sequence[np.ndarray],
     start: np.ndarray,
     settings: ContourPoseSettings | None = None,
 ) -> ContourPose:
-    """The pose of a rigid object whose contour in space is a closed curve.
+    """The pose of a rigid object by its outlines.
 
     Args:
-        descriptors: (N + 1, 3) complex, metres, as ``geometry.fourier.phase_vectors`` makes them
-            of points along the curve, in the object's frame: (3.13) to (3.15).
+        shape: a surface; or a closed curve's descriptors (N + 1, 3), complex, metres, as
+            ``geometry.fourier.phase_vectors`` makes them of points along the curve, in the
+            object's frame: (3.13) to (3.15).
         cameras: C of them, calibrated in one world.
-        outlines: of each camera (Q, 2) pixels where the curve appears, in any order; none where it
-            does not.
+        outlines: of each camera (Q, 2) pixels of the object's outline, in any order; none where
+            it does not appear.
         start: (4, 4) T_world_object, metres.
         settings: how to work.
 
     Raises:
-        ValueError: arrays of other shapes, or no pixel at all.
+        ValueError: arrays of other shapes, no pixel at all, or harmonics that a surface lacks.
 
     Example:
         A bent wire, turned by 40 degrees, before two cameras:
@@ -129,34 +152,63 @@ def solve_contour_pose(
         >>> found = solve_contour_pose(phase_vectors(wire), [above, aside], outlines, np.eye(4))
         >>> bool(np.abs(found.T_world_object - truth).max() < 1e-3)
         True
+
+        An ellipsoid, whose rim is where rays touch it, turned by 20 degrees:
+
+        >>> from jaxmocap.silhouette import RigidSurface
+        >>> axes, theta = np.array([0.1, 0.15, 0.2]), np.linspace(0, np.pi, 40)[:, None]
+        >>> unit = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta + 0 * phi)
+        >>> def outline(camera, R):
+        ...     eye = np.asarray(camera.position_world) @ R / axes
+        ...     _, _, (_, x, y) = np.linalg.svd(eye[None])
+        ...     ring = np.sqrt(1 - 1 / (eye @ eye)) * np.exp(1j * phi)[:, None]
+        ...     rim = eye / (eye @ eye) + ring.real * x + ring.imag * y
+        ...     return np.asarray(project(camera, (axes * rim) @ R.T))
+        >>> R = np.array([[0.94, -0.342, 0], [0.342, 0.94, 0], [0, 0, 1]])
+        >>> outlines = [outline(each, R) for each in (above, aside)]
+        >>> surface = RigidSurface(axes * np.stack(unit, -1))
+        >>> found = solve_contour_pose(surface, [above, aside], outlines, np.eye(4))
+        >>> bool(np.abs(found.T_world_object[:3, :3] - R).max() < 0.01)
+        True
     """
     how = settings or ContourPoseSettings()
-    _check(descriptors, cameras, outlines, start)
+    _check(shape, cameras, outlines, start, how)
     kept = [_evenly(np.asarray(outline, float), how.samples) for outline in outlines]
     rays = _rays_of(cameras, kept, how.samples)
-    dtype = rays.lines.moments.dtype
-    T, distances, cycles, status = _solved(
-        rays,
-        _stages(descriptors, how, dtype),
-        jnp.asarray(start, dtype),
-        how.rest,
-        how.damping,
-        how.both_ways,
+    begun = jnp.asarray(start, rays.lines.moments.dtype)
+    if isinstance(shape, RigidSurface):
+        points = shape.nodes[-1]
+        end = _by_surface(rays, shape, stack_cameras(cameras), begun, how)
+    else:
+        points = fourier_series(shape, 2 * np.pi * np.arange(how.samples) / how.samples)
+        end = _by_curve(rays, shape, begun, how)
+    radius = _radius(points)
+    T, distances, shares, status = _ended(
+        rays, begun, end, how.deviation * radius, how.rest, how.reach
     )
-    off = tuple(row[: len(pixels)] for row, pixels in zip(np.array(distances), kept, strict=True))
-    return ContourPose(np.asarray(T), off, np.asarray(cycles), Status(int(status)))
+    off, left = (
+        tuple(row[: len(pixels)] for row, pixels in zip(np.array(part), kept, strict=True))
+        for part in (distances, shares)
+    )
+    return ContourPose(np.asarray(T), off, left, np.asarray(end.cycles), Status(int(status)))
 
 
 def _check(
-    descriptors: np.ndarray,
+    shape: np.ndarray | RigidSurface,
     cameras: Sequence[Camera],
     outlines: Sequence[np.ndarray],
     start: np.ndarray,
+    how: ContourPoseSettings,
 ) -> None:
     """ValueError where something has another shape."""
-    shape = np.shape(descriptors)
-    if len(shape) != 2 or shape[0] < 2 or shape[1] != 3:
-        raise ValueError(f"found descriptors {shape}, expected (N + 1, 3) with N at least 1")
+    if isinstance(shape, RigidSurface):
+        if missing := set(how.harmonics) - set(shape.harmonics):
+            raise ValueError(f"found harmonics {sorted(missing)}, expected of the surface's "
+                             f"{shape.harmonics}")  # fmt: skip
+    elif np.ndim(shape) != 2 or np.shape(shape)[0] < 2 or np.shape(shape)[1] != 3:
+        raise ValueError(
+            f"found descriptors {np.shape(shape)}, expected (N + 1, 3) with N at least 1"
+        )
     if len(outlines) != len(cameras):
         raise ValueError(f"found {len(outlines)} outlines, expected one of each of the "
                          f"{len(cameras)} cameras")  # fmt: skip
@@ -171,12 +223,11 @@ def _check(
 
 def _evenly(outline: np.ndarray, most: int) -> np.ndarray:
     """At most so many pixels (Q, 2) of an outline."""
-    if len(outline) <= most:
-        return outline.reshape(-1, 2)
-    return outline[np.arange(most) * len(outline) // most]
+    count = min(most, len(outline))
+    return outline[np.arange(count) * len(outline) // max(count, 1)].reshape(-1, 2)
 
 
-def _rays_of(cameras: Sequence[Camera], outlines: Sequence[np.ndarray], count: int) -> _Rays:
+def _rays_of(cameras: Sequence[Camera], outlines: Sequence[np.ndarray], count: int) -> Rays:
     """Step (a); outlines of fewer pixels are padded."""
     real = np.array([np.arange(count) < len(pixels) for pixels in outlines])
     rows = []
@@ -184,136 +235,116 @@ def _rays_of(cameras: Sequence[Camera], outlines: Sequence[np.ndarray], count: i
         padded = np.zeros((count, 2))
         padded[: len(pixels)] = pixels
         rows.append(camera_lines(camera, jnp.asarray(padded, float)))
-    return _Rays(Lines(*(jnp.stack(parts) for parts in zip(*rows, strict=True))), jnp.asarray(real))
+    return Rays(Lines(*(jnp.stack(parts) for parts in zip(*rows, strict=True))), jnp.asarray(real))
 
 
-def _stages(descriptors: np.ndarray, how: ContourPoseSettings, dtype: jnp.dtype) -> _Stage:
-    """S stages: low-pass curves, the curve, and the curve once more, which may slide."""
+def _stages(levels: Sequence[int], how: ContourPoseSettings) -> list[_Stage]:
+    """Low-passes, the object, its contour free to slide, and without what lies far off."""
+    firm = StepWeights(1.0, how.deviation, np.inf, how.damping)
+    free = firm._replace(along=how.along_weight)
+    low = [_Stage(level, how.low_cycles, firm) for level in levels]
+    full = (firm, free, free._replace(reach=how.reach))
+    return [*low, *(_Stage(-1, how.cycles, weights) for weights in full)]
+
+
+def _radius(points: np.ndarray) -> float:
+    """Root mean square distance of points (P, 3) from their middle."""
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(0)) ** 2, -1))))
+
+
+def _by_curve(rays: Rays, descriptors: np.ndarray, start: Array, how: ContourPoseSettings) -> _End:
+    """All stages of a curve in one program."""
     phases = 2 * np.pi * np.arange(how.samples) / how.samples
     low = [h for h in how.harmonics if h < len(descriptors) - 1]
-    curves = [fourier_series(descriptors, phases, h) for h in (*low, None, None)]
-    cycles = [how.low_cycles] * len(low) + [how.cycles] * 2
-    along_weights = [1.0] * (len(low) + 1) + [how.along_weight]
-    return _Stage(
-        jnp.asarray(np.stack(curves), dtype),
-        jnp.asarray(cycles, jnp.int32),
-        jnp.asarray(along_weights, dtype),
-    )
+    stages = _stages(range(len(low)), how)
+    curves = np.stack([fourier_series(descriptors, phases, h) for h in (*low, None)])
+    arrays = jax.tree.map(lambda *parts: np.array(parts, start.dtype), *(s.weights for s in stages))
+    levels, cycles = np.array([each[:2] for each in stages], np.int32).T
+    every, radius = curves[levels].astype(start.dtype), _radius(curves[-1])
+    return _through_stages(rays, every, cycles, arrays, start, radius, how.rest, how.both_ways)
 
 
 @partial(jax.jit, static_argnames="both_ways")
-def _solved(
-    rays: _Rays, stages: _Stage, start: Array, rest: Array, damping: Array, both_ways: bool
-) -> tuple[Array, Array, Array, Array]:
-    """The pose (4, 4), distances (C, Q), cycles (S,) and status after all stages."""
-    whole = stages.curve[-1]
-    radius = jnp.sqrt(jnp.mean(jnp.sum((whole - jnp.mean(whole, 0)) ** 2, -1)))
+def _through_stages(
+    rays: Rays,
+    curves: Array,
+    cycles: Array,
+    weights: StepWeights,
+    start: Array,
+    radius: Array,
+    rest: Array,
+    both_ways: bool,
+) -> _End:
+    """Curves (S, P, 3), object's frame, and most cycles (S,) of each stage, to the end."""
+    cameras = len(rays.real)
 
-    def stage(T: Array, now: _Stage) -> tuple[Array, tuple[Array, Array]]:
+    def stage(T: Array, now: tuple[Array, Array, StepWeights]) -> tuple[Array, tuple[Array, Array]]:
+        curve, most, weights = now
+
         def unfinished(carry: tuple[Array, Array, Array]) -> Array:
-            return (carry[0] < now.cycles) & (carry[2] > rest)
+            return (carry[0] < most) & (carry[2] > rest)
 
         def cycle(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             count, T, _ = carry
-            curve = twists.move(T, now.curve)
-            step = _step(rays, curve, radius, now.along_weight, damping, both_ways)
-            moved = jnp.linalg.norm(twists.move(step, curve) - curve, axis=-1)
-            return count + 1, jnp.matmul(step, T, precision=HIGHEST), jnp.max(moved) / radius
+            contour = contour_of_wire(twists.move(T, curve), cameras)
+            return count + 1, *_moved(rays, contour, T, radius, weights, both_ways)
 
         far = jnp.asarray(jnp.inf, T.dtype)
         count, T, moved = jax.lax.while_loop(unfinished, cycle, (jnp.zeros((), jnp.int32), T, far))
         return T, (count, moved)
 
-    T, (counts, moved) = jax.lax.scan(stage, start, stages)
-    broken = ~jnp.all(jnp.isfinite(T))
-    status = jnp.where(moved[-1] > rest, Status.OUT_OF_STEPS, Status.CONVERGED)
-    T = jnp.where(broken, start, T)
-    off = incidence(rays.lines, _nearest_points(rays.lines, twists.move(T, whole))[0])
-    status = jnp.where(broken, Status.BROKEN, status).astype(jnp.int32)
-    return T, jnp.linalg.norm(off, axis=-1), counts, status
+    T, (counts, moved) = jax.lax.scan(stage, start, (curves, cycles, weights))
+    return _End(T, counts, moved[-1], contour_of_wire(twists.move(T, curves[-1]), cameras))
 
 
-def _step(
-    rays: _Rays, curve: Array, radius: Array, along_weight: Array, damping: Array, both_ways: bool
-) -> Array:
-    """(4, 4) the motion that brings pairs together: steps (b) and (c).
+def _by_surface(
+    rays: Rays, surface: RigidSurface, cameras: Camera, start: Array, how: ContourPoseSettings
+) -> _End:
+    """All stages of a surface, whose rims are found on the host, one a cycle."""
+    levels = [surface.harmonics.index(each) for each in how.harmonics]
+    radius = _radius(surface.nodes[-1])
+    T, moved, counts = start, np.inf, []
 
-    The twist is taken about the curve's middle, with lengths by its radius: so the system is as
-    well conditioned wherever the object is, and however large.
-    """
-    centre = jnp.mean(curve, 0)
-    n = rays.lines.directions
-    lines = Lines(n, (rays.lines.moments - jnp.cross(centre, n)) / radius)
-    curve = (curve - centre) / radius
-    points, tangents = _nearest_points(lines, curve)
-    weights = rays.real.astype(curve.dtype)
-    pairs = [(points, tangents, lines, weights)]
-    if both_ways:
-        pairs.append(_nearest_lines(rays._replace(lines=lines), curve))
-    x, tangents, lines, weights = jax.tree.map(
-        lambda *parts: jnp.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts]),
-        *pairs,
-    )
-    A, b = _linearised(x, tangents, lines, along_weight)
-    weight = jnp.sqrt(weights / jnp.sum(weights))[:, None]
-    held = jnp.sqrt(damping) * jnp.eye(6, dtype=x.dtype)
-    Q, R = jnp.linalg.qr(jnp.concatenate([(weight[..., None] * A).reshape(-1, 6), held]))
-    wanted = jnp.matmul(Q[:-6].T, (weight * b).ravel(), precision=HIGHEST)
-    T = twists.exp(jax.scipy.linalg.solve_triangular(R, wanted))
-    # From the middle's frame back to the world's.
-    return twists.rigid(T[:3, :3], centre + radius * T[:3, 3] - rotate(T[:3, :3], centre))
+    def contour(T: Array, level: int) -> SpaceContour:
+        rim = surface.rim(T, cameras, level)
+        points = surface.nodes[level][rim.nodes].astype(start.dtype)
+        return contour_of_rim(cameras, rim, points, T, radius)
+
+    for level, most, weights in _stages(levels, how):
+        count, moved = 0, np.inf
+        while count < most and moved > float(how.rest):
+            now = contour(T, level)
+            T, step = _moved_once(rays, now, T, radius, weights, how.both_ways)
+            count, moved = count + 1, float(step)
+        counts.append(count)
+    return _End(T, jnp.asarray(counts), jnp.asarray(moved), contour(T, -1))
 
 
-def _linearised(
-    x: Array, tangents: Array, lines: Lines, along_weight: Array
+def _moved(
+    rays: Rays,
+    contour: SpaceContour,
+    T: Array,
+    radius: Array,
+    weights: StepWeights,
+    both_ways: bool,
 ) -> tuple[Array, Array]:
-    """Equation (3.12), (I + xi) x x n = m: A (N, 3, 6) and b (N, 3) with A xi = b.
-
-    What moves a point along the curve counts by its weight.
-    """
-    unit = twists.hat(jnp.eye(6, dtype=x.dtype))[:, :3]
-    homogeneous = jnp.concatenate([x, jnp.ones_like(x[:, :1])], -1)
-    moves = jnp.einsum("jab,nb->nja", unit, homogeneous, precision=HIGHEST)
-    A = jnp.swapaxes(jnp.cross(moves, lines.directions[:, None]), 1, 2)
-    b = -incidence(lines, x)
-    along = jnp.cross(tangents, lines.directions)
-    squared = jnp.maximum(jnp.sum(along**2, -1, keepdims=True), 1e-12)
-    less = (1 - along_weight) * along / squared
-    b = b - jnp.sum(b * along, -1, keepdims=True) * less
-    return A - jnp.sum(A * along[..., None], 1, keepdims=True) * less[..., None], b
+    """A pose after one cycle, and by how much of the radius the contour moved."""
+    step = step_towards(rays, contour, radius, weights, both_ways)
+    ways = jnp.linalg.norm(twists.move(step, contour.points) - contour.points, axis=-1)
+    there = jnp.matmul(step, T, precision=HIGHEST)
+    return there, jnp.max(jnp.where(contour.real, ways, 0.0)) / radius
 
 
-def _nearest_points(lines: Lines, curve: Array) -> tuple[Array, Array]:
-    """Of a closed curve (P, 3) the points (C, Q, 3) nearest to lines, and tangents there."""
-    best = jnp.argmin(_squared_distances(lines, curve), -1)
-    before, here, after = (jnp.roll(curve, k, 0)[best] for k in (1, 0, -1))
-    options = [_on_segment(lines, here, there) for there in (before, after)]
-    first, second = (jnp.sum(incidence(lines, x) ** 2, -1, keepdims=True) for x in options)
-    return jnp.where(first < second, *options), after - before
+_moved_once = jax.jit(_moved, static_argnames="both_ways")
 
 
-def _on_segment(lines: Lines, start: Array, end: Array) -> Array:
-    """Between two points (..., 3) the one that is nearest to a line."""
-    change = jnp.cross(end - start, lines.directions)
-    squared = jnp.maximum(jnp.sum(change**2, -1, keepdims=True), 1e-12)
-    share = -jnp.sum(incidence(lines, start) * change, -1, keepdims=True) / squared
-    return start + jnp.clip(share, 0, 1) * (end - start)
-
-
-def _nearest_lines(rays: _Rays, curve: Array) -> tuple[Array, Array, Lines, Array]:
-    """Every point of a curve (P, 3) with each camera's nearest ray: (C, P) pairs and weights."""
-    squared = jnp.where(rays.real[..., None], _squared_distances(rays.lines, curve), jnp.inf)
-    best = jnp.argmin(squared, 1)[..., None]
-    lines = Lines(*(jnp.take_along_axis(part, best, 1) for part in rays.lines))
-    tangents = jnp.roll(curve, -1, 0) - jnp.roll(curve, 1, 0)
-    points, tangents = (jnp.broadcast_to(x, lines.moments.shape) for x in (curve, tangents))
-    weights = jnp.broadcast_to(jnp.any(rays.real, 1, keepdims=True), best.shape[:2])
-    return points, tangents, lines, weights.astype(curve.dtype)
-
-
-def _squared_distances(lines: Lines, curve: Array) -> Array:
-    """(C, Q, P) of points (P, 3) from lines: (3.3) and (3.4)."""
-    x, y, z = curve.T
-    a, b, c = (lines.directions[..., k, None] for k in range(3))
-    d, e, f = (lines.moments[..., k, None] for k in range(3))
-    return (y * c - z * b - d) ** 2 + (z * a - x * c - e) ** 2 + (x * b - y * a - f) ** 2
+@jax.jit
+def _ended(
+    rays: Rays, start: Array, end: _End, deviation: Array, rest: Array, reach: Array
+) -> tuple[Array, Array, Array, Array]:
+    """The pose (4, 4), distances and shares (C, Q) of the rays, and a status."""
+    broken = ~jnp.all(jnp.isfinite(end.T))
+    status = jnp.where(end.moved > rest, Status.OUT_OF_STEPS, Status.CONVERGED)
+    status = jnp.where(broken, Status.BROKEN, status).astype(jnp.int32)
+    off = distances_off(rays, end.contour, deviation, reach)
+    return jnp.where(broken, start, end.T), *off, status

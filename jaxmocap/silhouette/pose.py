@@ -38,10 +38,9 @@ from jaxmocap.silhouette.surfaces.morph import (
     without_followers,
 )
 from jaxmocap.solvers.limits import room, step_within
+from jaxmocap.solvers.robust import robust_shares
 from jaxmocap.solvers.status import Status
 
-# Between the median length of a normal error in a plane and the deviation of its components.
-MEDIAN_OF_LENGTHS = 1.1774
 # A joint this near to its limit is at it, radians.
 AT_LIMIT = 1e-4
 # Most solves of a step that limits cut short.
@@ -221,14 +220,9 @@ def _normal_equations(
         gone = moved_points(pairs.points, pairs.moves, driver_values(morph, pose.angles))
         pairs = pairs._replace(points=gone)
     residuals, rows = linearised_rays(skeleton, frames, pairs)
-    squared = jnp.sum(residuals**2, -1)
-    off = squared > 0
-    distances = jnp.where(off, jnp.sqrt(jnp.where(off, squared, 1.0)), 0.0)
-    spread = jnp.maximum(
-        _median(distances, pairs.weights > 0) / MEDIAN_OF_LENGTHS, settings.deviation
+    distances, shares, spread = robust_shares(
+        jnp.sum(residuals**2, -1), pairs.weights > 0, settings.deviation, settings.reach
     )
-    ratio = jnp.minimum(squared / (settings.reach * spread) ** 2, 1.0)
-    shares = (1 - ratio) ** 2
     weights = jnp.where(pairs.weights > 0, shares * pairs.weights, 0.0) / spread**2
     # Rows and residuals side by side: one product, of a matrix with itself, has both sums.
     beside_rows = jnp.concatenate([rows, residuals[..., None]], -1)
@@ -253,26 +247,6 @@ def _by(chain: Array, normal: _Normal) -> _Normal:
     information = jnp.matmul(chain.T, information, precision=HIGHEST)
     slope = jnp.matmul(chain.T, normal.slope, precision=HIGHEST)
     return normal._replace(information=information, slope=slope)
-
-
-def _median(values: Array, real: Array) -> Array:
-    """() of those of (N,) values, none negative, that are real; 0 where none is.
-
-    Such numbers are in the order of their bits: the median's are found one by one, the highest
-    first, by counting. Sorting takes seven times as long.
-    """
-    bits, integer = 8 * values.dtype.itemsize, jnp.dtype(f"int{8 * values.dtype.itemsize}")
-    keys = jax.lax.bitcast_convert_type(jnp.where(real, values, jnp.inf), integer)
-    before = jnp.maximum(jnp.sum(real.astype(jnp.int32)) - 1, 0) // 2
-
-    def with_bit(i: Array, found: Array) -> Array:
-        tried = found | (jnp.ones((), integer) << (bits - 2 - i).astype(integer))
-        below = jnp.sum((keys < tried).astype(jnp.int32))
-        return jnp.where(below <= before, tried, found)
-
-    found = jax.lax.fori_loop(0, bits - 1, with_bit, jnp.zeros((), integer))
-    middle = jax.lax.bitcast_convert_type(found, values.dtype)
-    return jnp.where(jnp.isfinite(middle), middle, 0.0)
 
 
 def _step(

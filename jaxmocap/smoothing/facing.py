@@ -29,11 +29,16 @@ _matrices = jax.jit(jax.vmap(quaternion_to_matrix))
 def references(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> dict[str, np.ndarray]:
     """Measured ``upright``, ``facing`` and ``ankles`` (T, ...) of poses by the markers alone."""
     R = np.asarray(_matrices(jnp.asarray(poses.quaternion, float)))
-    step = np.median(np.diff(times)) if len(times) > 1 else 1.0
-    ahead = gaussian_filter1d(R[:, :2, 0], AROUND_S / step, axis=0, mode="nearest")
     points = landmarks_over_time(skeleton, poses)
-    result = {"upright": R[:, :2, 2], "facing": _level(ahead), "ankles": points[:, ANKLES]}
+    facing = _level(averaged(R[:, :2, 0], times))
+    result = {"upright": R[:, :2, 2], "facing": facing, "ankles": points[:, ANKLES]}
     return {name: np.asarray(part, skeleton.lengths.dtype) for name, part in result.items()}
+
+
+def averaged(values: np.ndarray, times: np.ndarray, around_s: float = AROUND_S) -> np.ndarray:
+    """Values (T, N) over the time around: a Gaussian of so many seconds, of even samples."""
+    step = np.median(np.diff(times)) if len(times) > 1 else 1.0
+    return gaussian_filter1d(values, around_s / step, axis=0, mode="nearest")
 
 
 class RunningFacing:
@@ -50,7 +55,11 @@ class RunningFacing:
         return _level(average)
 
 
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., 2) of length 1; shorter where they have none."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+
+
 def _level(ahead: np.ndarray) -> np.ndarray:
     """Unit and horizontal (..., 3) of (..., 2)."""
-    length = np.maximum(np.linalg.norm(ahead, axis=-1, keepdims=True), 1e-9)
-    return np.concatenate([ahead / length, np.zeros_like(length)], -1)
+    return np.concatenate([unit(ahead), np.zeros_like(ahead[..., :1])], -1)

@@ -102,6 +102,8 @@ def two_workers() -> Iterator[ThreadPoolExecutor]:
 
 def softened(problem: SmoothingProblem, softness: float) -> SmoothingProblem:
     """The same, its grids as soft as what is drawn, and weighted as in the settings."""
+    if not len(problem.views.frame):
+        return problem
     soft = problem.views.grids.each_grid(lambda grid: blurred(grid, softness))
     grids = problem.settings.silhouettes.weighted(soft)
     return replace(problem, views=problem.views._replace(grids=grids))

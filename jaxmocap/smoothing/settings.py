@@ -13,7 +13,7 @@ from jaxmocap.evidence.ground import Ground
 from jaxmocap.evidence.keypoints import KeyPoints
 from jaxmocap.evidence.limits import JointLimits
 from jaxmocap.evidence.markers import ElbowGoals, MarkerPositions
-from jaxmocap.evidence.posture import Pelvis, RelaxedPosture
+from jaxmocap.evidence.posture import Pelvis, RelaxedPosture, UsualPlaces
 from jaxmocap.evidence.silhouettes import Silhouettes
 from jaxmocap.evidence.terms import Term
 
@@ -42,6 +42,7 @@ class SmoothingSettings:
     elbows: ElbowGoals = group(ElbowGoals, "of elbows where the path through time has them")
     keypoints: KeyPoints = group(KeyPoints, "of 2-D key points")
     silhouettes: Silhouettes = group(Silhouettes, "of what cameras show, view by view")
+    usual: UsualPlaces = group(UsualPlaces, "of landmarks where walkers have them, without video")
     elbow_path: ElbowPathSettings = group(ElbowPathSettings, "of the elbows' path through time")
     acceleration: Array = traced(
         3.0, "spectral density of the landmarks' accelerations, m / s^2 * sqrt(s)"
@@ -51,6 +52,7 @@ class SmoothingSettings:
         0.005,
         "of a camera's turn against its calibration, about each axis, radians; weighs in as many "
         "views as the proportions do; with 0 no camera turns; key points' lines never do",
+        least=0,
     )
     persistence: Array = traced(
         1.0, "for how long somebody keeps to what is unusual, seconds; for the deviations only"

@@ -54,8 +54,10 @@ def with_deviations(
     with two_workers() as workers:
         alike = replace(soft, settings=counted_once(soft))
         measured = _variances(alike, softness, workers, trajectory, prior)
-        blind = _without_video(alike)
-        guessed = _variances(blind, softness, workers, trajectory, prior)
+        guessed = measured
+        if len(alike.views.frame) or "sight_lines" in alike.measured:
+            blind = _without_video(alike)
+            guessed = _variances(blind, softness, workers, trajectory, prior)
     mismatch = float(problem.settings.mismatch)
     deviations, from_prior = landmark_deviations(measured, guessed, mismatch)
     return trajectory._replace(deviations=deviations, from_prior=from_prior)

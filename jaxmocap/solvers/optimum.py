@@ -59,11 +59,14 @@ def least_squares_step(
     """The step (N,) of a least-squares minimum as its residuals change.
 
     The cost's Hessian J^T J + S has the square of J's condition, and single precision cannot hold
-    it where a marker counts for millimetres beside a weak prior. By J = QR the equations are
+    it where a marker counts for millimetres beside a weak prior. By J = U V^T and V = B^-1, columns
+    of J scaled to the same length, the equations are
 
-        (1 + R^-T S R^-1) (R dx) = -(Q^T dr + R^-T dJ^T r)
+        (1 + B^T S B) (V dx) = -(U^T dr + B^T dJ^T r)
 
-    and no square is formed.
+    and no square is formed. The factors are those of a singular value decomposition: on processors
+    JAX's QR and triangular solves of a batch wait for each other for ever where two are under way
+    (jaxlib 0.10.2).
 
     Args:
         jacobian: (K, N) of the residuals; held fixed.
@@ -76,21 +79,21 @@ def least_squares_step(
     free = moves.astype(J.dtype)
     sizes = jnp.linalg.norm(J, axis=0)
     # What no residual determines stays.
-    ridge = jnp.where(moves & (sizes > 0), 10 * jnp.finfo(J.dtype).eps * sizes, 1.0)
-    Q, R = jnp.linalg.qr(jnp.concatenate([J * free, jnp.diag(ridge)]))
-    by_triangle = partial(jax.scipy.linalg.solve_triangular, R)
-    half = by_triangle(free[:, None] * S * free, trans=1)
+    determined = moves & (sizes > 0)
+    scale = free / jnp.where(determined, sizes, 1.0)
+    ridge = jnp.where(determined, 10 * jnp.finfo(J.dtype).eps, 1.0)
+    U, sigma, Vt = jnp.linalg.svd(
+        jnp.concatenate([J * scale, jnp.diag(ridge)]), full_matrices=False
+    )
+    B = scale[:, None] * Vt.T / sigma
+    exactly = partial(jnp.matmul, precision="highest")
     values, vectors = jnp.linalg.eigh(
-        jnp.eye(len(free), dtype=J.dtype) + by_triangle(half.T, trans=1)
+        jnp.eye(len(free), dtype=J.dtype) + exactly(exactly(B.T, S), B)
     )
     curved = values > LEAST_CURVATURE
     inverse = jnp.where(curved, 1 / jnp.where(curved, values, 1.0), 0.0)
-    right = jnp.matmul(Q[: len(J)].T, change, precision="highest") + by_triangle(
-        free * pull, trans=1
-    )
-    along = inverse * jnp.matmul(vectors.T, right, precision="highest")
-    solved = jnp.matmul(vectors, along, precision="highest")
-    return -free * by_triangle(solved)
+    right = exactly(U[: len(J)].T, change) + exactly(B.T, pull)
+    return -exactly(B, exactly(vectors, inverse * exactly(vectors.T, right)))
 
 
 def curved_step(slope: Array, hessian: Array) -> Array:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import av
 import numpy as np
 
+from jaxmocap.body.skeleton import WINTER
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.cameras.video_out import replacing_video
 from jaxmocap.formats.recordings.recording import write_recording
@@ -117,7 +118,7 @@ def write_performance(
         landmarks=figure.landmarks(bones),
         camera=webcam() if azimuth is None else camera_at(azimuth),
         places=marker_places(),
-        subject={"height": figure.height},
+        subject={"height": figure.height, "proportions": WINTER},
     )
     shown = scene(performance, seed, azimuth, furnished, detail)
     frames = render_frames(shown, video_times(seconds), progress)

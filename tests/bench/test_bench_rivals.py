@@ -9,7 +9,6 @@ import pytest
 from bench import growth, rival_ik, rival_kinematics, rival_simplex, rivals
 from bench.gate import failures, read_baseline
 from bench.rival_bodies import PinocchioBody
-from bench.rival_kinematics import sine_cosine
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.hybrid.settings import IKSettings
@@ -131,12 +130,3 @@ def test_growth_by_hinges_measures_every_length(monkeypatch):
     actual = list(growth.by_hinges())
     assert [m.name for m in actual] == [f"growth: IK step, hinges {n}" for n in (3, 6)]
     assert all(metric.value > 0 for metric in actual)
-
-
-def test_sines_and_cosines_are_the_librarys_to_float32s_rounding():
-    angles = np.linspace(-20, 20, 4001)
-    for ours, theirs in zip(
-        sine_cosine(jnp.asarray(angles, jnp.float32)), (np.sin, np.cos), strict=True
-    ):
-        expected = theirs(np.asarray(angles, np.float32).astype(float))
-        np.testing.assert_allclose(ours, expected, atol=5e-7)

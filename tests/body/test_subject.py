@@ -6,8 +6,9 @@ import pytest
 from conftest import double, on_device
 
 from jaxmocap.body.kinematics import landmarks as landmarks_of
+from jaxmocap.body.model_files import proportions_of
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton, scale_to_height
+from jaxmocap.body.skeleton import JOINT_CENTRES, LANDMARKS, Skeleton, scale_to_height
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.formats.time_series.trc import read_trc
 
@@ -44,8 +45,8 @@ def standing(skeleton):
 
 
 @pytest.mark.parametrize("height", [1.5, 1.8, 2.0])
-def test_scaling_by_height_gives_winters_segments(height):
-    person = Skeleton.human(height)
+def test_winters_segments_by_his_name(height):
+    person = Skeleton.human(height, proportions="winter")
     winter = {"humerus": 0.186, "radius": 0.146, "hand": 0.108, "femur": 0.245, "tibia": 0.246}
     for bone, fraction in winter.items():
         for side in "lr":
@@ -56,7 +57,7 @@ def test_scaling_by_height_gives_winters_segments(height):
 
 
 def test_a_person_of_1_80_m_stands_1_80_m_tall():
-    points = standing(Skeleton.human(1.8))
+    points = standing(Skeleton.human(1.8, proportions="winter"))
     assert points["vertex"][2] == pytest.approx(1.8, abs=1e-5)
     # Winter's Fig. 4.1: shoulders at 0.818 of the height and 0.259 apart, hips 0.191 apart,
     # ankles at 0.039.
@@ -64,6 +65,50 @@ def test_a_person_of_1_80_m_stands_1_80_m_tall():
     assert (points["shoulder_l"] - points["shoulder_r"])[1] == pytest.approx(0.258 * 1.8, abs=2e-3)
     assert (points["hip_l"] - points["hip_r"])[1] == pytest.approx(0.191 * 1.8, abs=1e-5)
     assert points["ankle_r"][2] == pytest.approx(0.039 * 1.8, abs=1e-5)
+
+
+def test_joints_of_a_stature_are_where_peoples_are():
+    points = standing(Skeleton.human(1.8))
+    # Hips at 0.512 of the height.
+    up = points["vertex"][2] - 0.954 + 0.512 * 1.8
+    assert up == pytest.approx(1.8, abs=1e-5)
+    assert points["ankle_l"][2] - 0.954 + 0.512 * 1.8 == pytest.approx(0.041 * 1.8, abs=1e-5)
+    apart = {joint: points[f"{joint}_l"] - points[f"{joint}_r"] for joint in ("shoulder", "hip")}
+    np.testing.assert_allclose(apart["shoulder"], [0, 0.200 * 1.8, 0], atol=1e-5)
+    np.testing.assert_allclose(apart["hip"], [0, 0.100 * 1.8, 0], atol=1e-5)
+    drop = points["neck"] - points["shoulder_l"]
+    np.testing.assert_allclose(drop, 1.8 * np.array([0.010, -0.100, 0.028]), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("part", "ends"),
+    {
+        "upper_arm": ("Shoulder", "Elbow"),
+        "forearm": ("Elbow", "Wrist"),
+        "thigh": ("Hip", "Knee"),
+        "shank": ("Knee", "Ankle"),
+        "hip": ("LHip", "RHip"),
+    }.items(),
+)
+def test_real_people_differ_from_their_statures_lengths_by_what_is_stated(recordings, part, ends):
+    """Six people by Plug-in Gait's joint centres, both sides."""
+    table, off = proportions_of(JOINT_CENTRES), []
+    for folder in sorted((recordings / "people").glob("person_*")):
+        points = read_trc(folder / "static.trc").points()
+        height = points["Crown"][:, 2]
+        pairs = [ends] if part == "hip" else [(side + ends[0], side + ends[1]) for side in "LR"]
+        for near, far in pairs:
+            long = np.linalg.norm(points[near] - points[far], axis=-1) / height
+            long = long / 2 if part == "hip" else long
+            off.append(np.log(np.nanmedian(long) / table["lengths"][part]))
+    assert len(off) in (6, 12)
+    deviation = table["deviation"][part]
+    assert deviation / 3 < np.sqrt(np.mean(np.square(off))) < 1.3 * deviation
+
+
+def test_unknown_proportions_are_refused_by_name():
+    with pytest.raises(KeyError, match="found 'vitruvius', expected one of winter, joint_centres"):
+        Skeleton.human(1.8, proportions="vitruvius")
 
 
 def test_scaling_by_mass_gives_winters_masses():
@@ -97,7 +142,10 @@ def test_girths_keep_each_bones_density(skeleton):
         mean = np.asarray(body.diameters).mean(1)
         return np.asarray(body.masses) / (np.asarray(body.lengths) * mean**2)
 
-    np.testing.assert_allclose(densities(Skeleton.human(1.6, 90)), densities(skeleton), rtol=1e-5)
+    person = Skeleton.human(1.6, 90, "winter")
+    np.testing.assert_allclose(densities(person), densities(skeleton), rtol=1e-5)
+    # Where joints are changes no girth.
+    np.testing.assert_array_equal(person.diameters, Skeleton.human(1.6, 90).diameters)
 
 
 @pytest.mark.parametrize(

@@ -24,9 +24,10 @@ from jaxmocap.calibration.devices.standing import (
     calibrate_standing,
 )
 from jaxmocap.capture.streams.sample_assembly import MarkerMeasurements, MarkerSample
+from jaxmocap.capture.streams.udp import OscTable
 from jaxmocap.formats.files.errors import OutputError
-from jaxmocap.formats.recordings.live import load_live
 from jaxmocap.formats.recordings.marker_places import MarkerPlace
+from jaxmocap.pipelines.live.setup import load_live
 from jaxmocap.pipelines.live.status import LiveStatus
 
 STANCES = get_args(Stance)
@@ -178,10 +179,10 @@ def calibrated(folder: Path, monkeypatch, text: str, devices, moves=0.0) -> str:
     monkeypatch.setattr(calibrating, "PATIENCE_S", 1.0)
     monkeypatch.setattr(calibrating, "POLL_S", 0.01)
 
-    def source(setup, assembler, now) -> Source:
+    def source(table, assembler, now) -> Source:
         return Source(assembler, now, devices, moves)
 
-    monkeypatch.setattr(calibrating, "marker_source", source)
+    monkeypatch.setattr(OscTable, "open", source)
     path, shown = folder / "live.toml", StringIO()
     path.write_text(text)
     try:

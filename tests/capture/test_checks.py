@@ -13,20 +13,20 @@ from small_recording import small_recording, write_small_recording
 from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.capture.checks.body_reach import (
-    max_marker_distances,
-    skeleton_stature,
-    standing_points,
-)
+from jaxmocap.body.subject import skeleton_stature
+from jaxmocap.capture.checks.body_reach import max_marker_distances, standing_points
 from jaxmocap.capture.checks.cameras import check_recording, project_to_pixels
+from jaxmocap.capture.checks.lengths import check_stretched_arms
 from jaxmocap.capture.checks.markers import check_markers
 from jaxmocap.capture.footage import open_footage
+from jaxmocap.capture.photographs import write_picture
 from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera, project
+from jaxmocap.pipelines.tracking.track import open_recording
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.people.clothed_person import MARKERS
 from jaxmocap.synthetic.placement import camera_at
@@ -127,6 +127,13 @@ def test_markers_in_another_unit_are_refused(sound, factor, unit):
     if factor == 1000:
         text = float(finding.sentence.split("person of ")[1].split(" m")[0])
         assert 1200 < text < 2000
+
+
+def test_noise_of_a_metre_is_no_unit(sound):
+    noise = np.random.default_rng(0).normal(0, 1.0, sound.positions_world.shape)
+    spoilt = replace(sound, positions_world=sound.positions_world + 2 * noise)
+    (finding,) = check_recording(spoilt, VIDEO_TIMES)
+    assert finding.fatal and "no unit explains that" in finding.sentence
 
 
 def test_a_static_trial_in_millimetres_is_refused(sound):
@@ -310,6 +317,52 @@ def test_a_marker_out_of_reach_is_told(sound, share, fatal):
     assert text in actual["reach"].sentence
 
 
+def with_arms(stretch: float, spread: float = 1.0) -> Recording:
+    """The small recording with both arms to the sides, so many times as long, or less apart."""
+    recording = small_recording()
+    reach = max_marker_distances(recording.skeleton, recording.places)[1, 2]
+    positions = recording.positions_world.copy()
+    for row, side in ((1, 1.0), (2, -1.0)):
+        positions[:, row] = 0.0, side * stretch * spread * reach / 2, 1.43
+    return replace(recording, positions_world=positions, path=Path("clip.toml"))
+
+
+@pytest.mark.parametrize("stretch", [1.08, 1.0])
+def test_hands_farther_apart_than_the_arms_say_which_bones_are_too_short(stretch):
+    found = [f for f in check_markers(with_arms(stretch)) if f.check == "lengths"]
+    if stretch == 1.0:
+        assert not found
+        return
+    (finding,) = found
+    assert "LWrist and RWrist are up to" in finding.sentence and not finding.fatal
+    assert "clavicle, humerus, radius are too short by 8 %" in finding.sentence
+
+
+@pytest.mark.parametrize(("factor", "word"), [(0.85, "short by 18 %"), (1.15, "long by 13 %")])
+def test_a_bone_between_two_markers_is_compared_with_their_distance(factor, word):
+    sound = small_recording()
+    tree, lengths = sound.skeleton.tree, sound.skeleton.lengths
+    places = (*sound.places, MarkerPlace("LElbow", "humerus_l"))
+    forearm = float(lengths[tree.bone("radius_l")])
+    elbow = sound.positions_world[:, 1:2] + [0.0, 0.0, forearm]
+    full = replace(
+        sound, places=places, positions_world=np.concatenate([sound.positions_world, elbow], 1)
+    )
+    assert not check_markers(full)
+    other = replace(sound.skeleton, lengths=lengths.at[tree.bone("radius_l")].set(forearm * factor))
+    (finding,) = check_markers(replace(full, skeleton=other))
+    assert f"radius_l is too {word}" in finding.sentence
+
+
+def test_stretched_arms_name_the_command_that_measures_them():
+    measured = ("humerus_l", "radius_l")
+    (finding,) = check_stretched_arms(with_arms(0.98), ())
+    assert "`jaxmocap scale --recording clip.toml" in finding.sentence
+    assert not list(check_stretched_arms(with_arms(0.98), measured))
+    assert not list(check_stretched_arms(with_arms(0.98, 0.8), ()))
+    assert not list(check_stretched_arms(replace(with_arms(0.98), videos=()), ()))
+
+
 @pytest.mark.parametrize("factor", [1000.0, RATE])
 def test_times_that_are_not_seconds_are_refused(sound, factor):
     spoilt = replace(sound, times=sound.times * factor, videos=())
@@ -425,6 +478,33 @@ def test_check_tells_what_it_looked_at(tmp_path, capsys):
     assert figures["findings"] == [] and figures["cameras"][0]["shown_share"] == 1.0
 
 
+@pytest.mark.parametrize(
+    ("field", "says"),
+    [
+        ('background = "markers.trc"', "markers.trc: is not an image"),
+        ('background = "small.png"', "small.png: found 2 × 2 pixels"),
+        ('keypoints = "empty"', "empty"),
+    ],
+)
+def test_check_refuses_what_the_commands_refuse(tmp_path, capsys, field, says):
+    path = write_small_recording(tmp_path)
+    (tmp_path / "empty").mkdir()
+    write_picture(tmp_path / "small.png", np.zeros((2, 2, 3), np.uint8))
+    path.write_text(path.read_text().replace('camera = "cam"', f'camera = "cam"\n{field}'))
+    assert main(["check", str(path)]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_check_counts_the_frames_that_cannot_be_decoded(tmp_path, capsys):
+    path = write_small_recording(tmp_path)
+    video = (tmp_path / "cam.mp4").read_bytes()
+    start, end = video.index(b"mdat") + 4, video.index(b"moov") - 4
+    kept = (start + end) // 2
+    (tmp_path / "cam.mp4").write_bytes(video[:kept] + bytes(end - kept) + video[end:])
+    assert main(["check", str(path)]) == 0
+    assert "frames cannot be decoded, they are missing" in capsys.readouterr().out
+
+
 def test_check_and_track_refuse_what_is_in_millimetres(tmp_path, capsys):
     path = write_small_recording(tmp_path)
     markers = tmp_path / "markers.trc"
@@ -447,3 +527,15 @@ def test_a_warning_reaches_whoever_opens_the_recording():
     assert warning.startswith("small: [markers] file: its header states 30 samples per second")
     with pytest.raises(InputError, match="the column of times must be seconds"):
         open_footage(replace(recording, times=recording.times * 1000, videos=()))
+
+
+def test_check_and_track_say_that_stretched_arms_are_worth_measuring(tmp_path, capsys):
+    path = write_small_recording(tmp_path)
+    recording = with_arms(0.98)
+    points = np.moveaxis(recording.positions_world, 1, 0)
+    named = dict(zip(recording.marker_names, points, strict=True))
+    write_trc(tmp_path / "markers.trc", recording.times, named)
+    assert main(["check", str(path)]) == 0
+    assert "jaxmocap scale --recording recording.toml" in capsys.readouterr().out
+    (warning,) = open_recording(Recording.load(path)).warnings
+    assert "both arms being stretched" in warning

@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 
-from jaxmocap.capture.streams.lsl import MarkerStream
+from jaxmocap.capture.streams.lsl import LslTable, MarkerStream
 from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.recordings.live import load_live
+from jaxmocap.pipelines.live.setup import load_live
 
 try:
     import pylsl
@@ -33,7 +33,7 @@ def outlet(name: str, labels: list[str], unit: str = "millimeters", kind: str = 
 
 def listening(name: str) -> tuple[MarkerStream, list[MarkerSample]]:
     samples: list[MarkerSample] = []
-    stream = MarkerStream(name, SampleAssembler(MARKERS, {}, np.eye(3), samples.append))
+    stream = MarkerStream(LslTable(name), SampleAssembler(MARKERS, {}, np.eye(3), samples.append))
     stream.start()
     return stream, samples
 
@@ -125,5 +125,5 @@ def test_a_live_runs_file_may_name_a_stream_which_is_z_up(tmp_path):
     path = tmp_path / "live.toml"
     path.write_text("[markers.on]\nHead = { bone = 'head' }\n[lsl]\nstream = 'mocap'\n")
     setup = load_live(path)
-    assert setup.lsl == "mocap"
+    assert setup.source == LslTable("mocap")
     np.testing.assert_array_equal(setup.R_world_source, np.eye(3))

@@ -24,10 +24,10 @@ from jaxmocap.capture.streams.recent_markers import RecentMarkers
 from jaxmocap.capture.streams.sample_assembly import SENT_WITHIN_S, MarkerSample, SampleAssembler
 from jaxmocap.capture.streams.senders import SENDER_BURST
 from jaxmocap.capture.streams.stream_clock import JUMP_S, StreamClock
-from jaxmocap.capture.streams.udp import MAX_BURST, Datagram, MarkerSocket
+from jaxmocap.capture.streams.udp import MAX_BURST, Datagram, MarkerSocket, OscTable
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.recordings.live import R_WORLD_UNITY
+from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
 
 MARKERS = ("Hmd", "LeftController", "RightController")
 
@@ -353,7 +353,7 @@ def test_for_smoothing_things_come_in_the_order_in_which_they_came_in():
 @contextmanager
 def listening(give):
     gathers = SampleAssembler(MARKERS, {}, R_WORLD_UNITY, give)
-    marker_socket = MarkerSocket(Address(port=0), gathers)
+    marker_socket = MarkerSocket(OscTable(Address(port=0)), gathers)
     marker_socket.start()
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
@@ -401,7 +401,7 @@ def packet(ahead: float, port: int = 5000, host: str = "127.0.0.1", at: float = 
 def test_of_a_flood_the_newest_are_read():
     out: list[MarkerSample] = []
     gathers = SampleAssembler(MARKERS, {}, R_WORLD_UNITY, out.append)
-    marker_socket = MarkerSocket(Address(port=0), gathers, now=lambda: 0.0)
+    marker_socket = MarkerSocket(OscTable(Address(port=0)), gathers, now=lambda: 0.0)
     flood = [packet(i / 100) for i in range(2 * MAX_BURST)]
     marker_socket.take(flood)
     marker_socket.stop()
@@ -414,4 +414,4 @@ def test_an_address_that_is_taken_is_said():
     with listening(lambda sample: None) as (marker_socket, _):
         gathers, _ = gathering()
         with pytest.raises(InputError, match="cannot listen there"):
-            MarkerSocket(marker_socket.address, gathers)
+            MarkerSocket(OscTable(marker_socket.address), gathers)

@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.capture.streams.osc import parse_packet
 from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
-from jaxmocap.capture.streams.udp import Datagram, MarkerSocket
+from jaxmocap.capture.streams.udp import Datagram, MarkerSocket, OscTable
 from jaxmocap.formats.files.addresses import Address
-from jaxmocap.formats.recordings.live import R_WORLD_UNITY, load_live
+from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
+from jaxmocap.pipelines.live.setup import load_live
 from jaxmocap.pipelines.live.stream_states import stream_states
 
 RATE, FRAMES = 90.0, 40
@@ -46,7 +47,9 @@ class Taken:
         assembler = SampleAssembler(markers, aliases, R_WORLD_UNITY, self.samples.append)
         self.now = 0.0
         self.assembler = assembler
-        self.socket = MarkerSocket(Address(port=0), assembler, raw, now=lambda: self.now)
+        self.socket = MarkerSocket(
+            OscTable(Address(port=0), raw=raw), assembler, now=lambda: self.now
+        )
 
     def give(self, at: float, datagrams, port: int = 5000) -> None:
         self.now = at
@@ -204,7 +207,7 @@ def test_virtual_motion_capture_over_a_real_socket():
     samples: list[MarkerSample] = []
     aliases = {SERIALS["Con"]: "Left", SERIALS["Tra"]: "Waist"}
     assembler = SampleAssembler(("Hmd", "Left", "Waist"), aliases, R_WORLD_UNITY, samples.append)
-    marker_socket = MarkerSocket(Address(port=0), assembler)
+    marker_socket = MarkerSocket(OscTable(Address(port=0)), assembler)
     marker_socket.start()
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
@@ -243,7 +246,7 @@ def test_the_live_file_on_the_page_takes_what_its_program_sends(program, tmp_pat
     path = tmp_path / "live.toml"
     path.write_text(block, "utf-8")
     setup = load_live(path)
-    taken = Taken(setup.marker_names, setup.aliases, setup.raw)
+    taken = Taken(setup.marker_names, setup.source.aliases, setup.source.raw)
     for frame in range(FRAMES):
         if program == "SlimeVR":
             places = np.full((9, 3), frame / RATE)

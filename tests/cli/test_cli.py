@@ -14,8 +14,10 @@ from jaxmocap.cli import program as cli
 from jaxmocap.cli.program import COMMANDS, GROUPS, main
 from jaxmocap.formats.files.errors import InputError, OutputError
 from jaxmocap.formats.files.output_folder import OutputFolder
+from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.pipelines import view
+from jaxmocap.pipelines.demo import standing_recording
 from jaxmocap.pipelines.kept_programs import cache_folder
 from jaxmocap.pipelines.signals import Terminated
 
@@ -136,7 +138,9 @@ def test_the_demo_shows_that_video_helps(tmp_path, capsys):
     assert "before  improved" in printed.err and "frames per second" in printed.err
     own = {"overlay_webcam.mp4", "elbow_errors.png", "recording"}
     assert {p.name for p in out.iterdir()} == OUTPUTS - {"overlay_cam.mp4"} | own
-    assert (out / "recording" / "recording.toml").is_file()
+    # Its tracker, compiled ahead, has the body that the recording states.
+    stated = Recording.load(out / "recording" / "recording.toml").skeleton
+    np.testing.assert_array_equal(stated.lengths, standing_recording(1).skeleton.lengths)
 
 
 def test_compiled_programs_are_kept_where_the_environment_says(monkeypatch, tmp_path):
@@ -396,6 +400,27 @@ def test_figures_never_replace_what_is_read(folder, capsys):
         assert main(given) == 2
         assert "would be replaced while it is read" in capsys.readouterr().err
         assert (folder / name).read_bytes() == before
+
+
+def test_figures_never_replace_an_output(folder, capsys):
+    (folder / "o").mkdir()
+    source, target = str(folder / "markers.trc"), folder / "m.csv"
+    for asked in (
+        ["track", str(folder / "recording.toml"), "--out", str(folder / "o")],
+        ["batch", str(folder), "--out", str(folder / "o")],
+    ):
+        for name in ("joints.trc", "outputs.json", "report.json", "deep/report.json", "."):
+            assert main([*asked, "--json", str(folder / "o" / name)]) == 2
+            assert not list((folder / "o").iterdir())
+    assert main(["convert", source, str(target), "--json", str(target)]) == 2
+    assert not target.exists()
+    capsys.readouterr()
+    with OutputFolder(folder / "o", "points").writing() as stage:
+        (stage / "cam.json").write_text("{}")
+    assert main(["convert", source, str(target), "--json", str(folder / "o" / "cam.json")]) == 2
+    assert f"is in the list {folder / 'o' / 'outputs.json'}" in capsys.readouterr().err
+    assert (folder / "o" / "cam.json").read_text() == "{}"
+    assert main(["convert", source, str(target), "--json", str(folder / "o" / "my.json")]) == 0
 
 
 def test_a_recording_is_not_taken_for_the_body_that_scale_replaces(folder, capsys):

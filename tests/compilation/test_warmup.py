@@ -64,9 +64,9 @@ def test_the_command_tracks_both_ways_and_says_what_it_took(monkeypatch, capsys)
         "track",
         lambda recording, tracker, mode, **_: asked.append((recording, tracker, mode)),
     )
-    assert main(["warmup", "--refine", "gradient", "--json", "-"]) == 0
+    assert main(["warmup", "--refine", "none", "--json", "-"]) == 0
     printed = capsys.readouterr()
-    assert [mode for _, _, mode in asked] == ["own", "causal"] and asked[0][1] == "gradient"
+    assert [mode for _, _, mode in asked] == ["own", "causal"] and asked[0][1] == "none"
     assert asked[0][0].name == "standing" and len(asked[0][0].times) == 15
     assert [each["mode"] for each in json.loads(printed.out)["modes"]] == list(
         warmup.MODE_NAMES.values()

@@ -1,5 +1,7 @@
 """Equations (12) to (14) against the reference, and where the outline's distance is least."""
 
+from dataclasses import replace
+
 import cv2
 import jax
 import jax.numpy as jnp
@@ -27,10 +29,10 @@ from watched_arms import (
 from jaxmocap.body.arms import arms_of, flesh
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.surfaces.cones import Cones
-from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
-from jaxmocap.evidence.outlines.coverage import chamfer_sum, drawn_distance, integrated_distance
+from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.evidence.outlines.traced import outline_distance
 from jaxmocap.geometry.outlines import Discs
+from jaxmocap.hybrid.paper.chamfer import Chamfer, chamfer_sum, drawn_distance, integrated_distance
 from jaxmocap.hybrid.settings import Settings, SimplexSettings
 from jaxmocap.images.raster import soft_coverage
 from jaxmocap.images.regions import Region
@@ -44,7 +46,7 @@ COVERAGE = jax.jit(soft_coverage, static_argnums=1)
 CHAMFER = jax.jit(chamfer_sum)
 DRAWN, INTEGRATED = jax.jit(drawn_distance), jax.jit(integrated_distance)
 OUTLINE = jax.jit(outline_distance)
-ARM_COST = jax.jit(EdgeEvidence.arm_cost)
+ARM_COST = jax.jit(Chamfer.arm_cost)
 # Of coverage, 0 to 1, and of costs, relative.
 FLOAT32_COVERAGE, FLOAT32_COST = 2e-4, 1e-4
 
@@ -123,22 +125,21 @@ def test_the_chamfer_sum_is_equation_13(seed):
 @settings(max_examples=5)
 @given(st.integers(0, 2**20))
 def test_the_raster_cost_with_its_hold_is_equation_14_in_another_unit(seed):
-    """Both divided by the area and the resolution: lambda in pixels per metre follows from it."""
+    """Both divided by what no move of the limbs changes, the resolution at the start's depth."""
     rng = np.random.default_rng(seed)
     targets, positions = rng.normal(size=(2, 1, 3))
     with double():
         camera, region, fields, limbs = scene(seed)
-        chosen, weight = (
-            EdgeEvidence(compared="coverage", drawn=True, softness=0.8),
-            SimplexSettings().hold,
-        )
+        chosen, weight = replace(Chamfer(), softness=0.8), SimplexSettings().hold
         one = EdgeFields(
             jax.tree.map(lambda part: on_device(part)[None], region),
             on_device(fields)[None],
             np.array([True]),
         )
-        on_edges = float(ARM_COST(chosen, stacked(camera), one, on_device(limbs)))
-        depth = np.mean(reference_cameras.to_camera(camera, limbs.near)[:, 2])
+        start = limbs._replace(near=limbs.near + rng.normal(size=3) / 10)
+        cost = ARM_COST(chosen, stacked(camera), one, on_device(limbs), on_device(start))
+        on_edges = float(cost)
+        depth = np.mean(reference_cameras.to_camera(camera, start.near)[:, 2])
         samples_per_metre = 560.0 / depth / float(region.scale)
         lengths = np.linalg.norm(limbs.far - limbs.near, axis=1)
         area = np.sum(lengths * limbs.radii.sum(1)) * samples_per_metre**2
@@ -174,7 +175,7 @@ def arm_before_lines(seed):
 def test_integrated_coverage_is_the_drawn_one():
     """By 84 points an arm instead of 9,216 samples, ends and limbs before limbs included."""
     arms = [arm_before_lines(seed) for seed in range(60)]
-    sums = np.array([[float(way(*arm, 0.3)) for way in (INTEGRATED, DRAWN)] for arm in arms])
+    sums = np.array([[float(way(*arm, 0.3, 2.0)) for way in (INTEGRATED, DRAWN)] for arm in arms])
     ratios = sums[:, 0] / sums[:, 1]
     assert np.ptp(sums[:, 1]) > 0.01 and np.corrcoef(sums.T)[0, 1] > 0.99
     assert abs(ratios.mean() - 1) < 0.02 and ratios.std() < 0.05
@@ -183,7 +184,7 @@ def test_integrated_coverage_is_the_drawn_one():
     for camera, region, field, limbs in arms:
         ones = jnp.ones_like(field)
         covered.append(
-            [float(way(camera, region, ones, limbs, 0.3)) for way in (INTEGRATED, DRAWN)]
+            [float(way(camera, region, ones, limbs, 0.3, 2.0)) for way in (INTEGRATED, DRAWN)]
         )
     np.testing.assert_allclose(*np.transpose(covered), rtol=0.04)
 
@@ -192,8 +193,8 @@ def test_integrated_coverage_of_many_places_is_that_of_each():
     camera, region, field, limbs = arm_before_lines(0)
     other = jax.tree.map(lambda part: part + 0.01, limbs)
     both = jax.tree.map(lambda *parts: jnp.stack(parts), limbs, other)
-    together = INTEGRATED(camera, region, field, both, 0.3)
-    alone = [INTEGRATED(camera, region, field, each, 0.3) for each in (limbs, other)]
+    together = INTEGRATED(camera, region, field, both, 0.3, 2.0)
+    alone = [INTEGRATED(camera, region, field, each, 0.3, 2.0) for each in (limbs, other)]
     np.testing.assert_allclose(together, alone, rtol=1e-5)
 
 
@@ -204,7 +205,7 @@ CHOSEN = Settings(region=SIZE).edges
 @jax.jit
 def outline_costs(cameras, fields, arms):
     def of_arm(own, limbs):
-        return CHOSEN.arm_cost(cameras, own, limbs)
+        return CHOSEN.arm_cost(cameras, own, limbs, limbs)
 
     return jax.vmap(of_arm)(fields.by_arm(), flesh(arms))
 

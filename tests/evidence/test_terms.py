@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import double, on_device, poses
+from conftest import double, in_double, on_device, poses
 from hypothesis import assume, given
 from hypothesis import settings as hypothesis_settings
 from jax import Array
@@ -41,11 +41,13 @@ from jaxmocap.evidence.expansion import expanded
 from jaxmocap.evidence.keypoints import lines_of_sight
 from jaxmocap.evidence.markers import Goals, PointGoals, SearchedElbows
 from jaxmocap.evidence.posture import (
+    USUAL_ROWS,
     EasyPosture,
     EstimatedPose,
     LastPose,
     NearEstimate,
     Pelvis,
+    Usual,
 )
 from jaxmocap.evidence.terms import (
     Measurements,
@@ -58,6 +60,7 @@ from jaxmocap.evidence.terms import (
 from jaxmocap.geometry.cameras import project
 from jaxmocap.hybrid.fit import Aims, refine_body
 from jaxmocap.hybrid.ik import reach
+from jaxmocap.hybrid.paper.chamfer import Chamfer
 from jaxmocap.hybrid.settings import GradientSettings, IKSettings, Settings
 from jaxmocap.images.regions import Region
 from jaxmocap.smoothing.linearise import smooth_poses
@@ -134,16 +137,6 @@ def slanted_fields() -> EdgeFields:
     return EdgeFields(region, np.tile(slope, (2, 2, 1, 1, 1)), np.ones((2, 2), bool))
 
 
-def in_double(tree):
-    """Floats in double precision, all else as it is."""
-
-    def wide(leaf):
-        leaf = np.asarray(leaf)
-        return jnp.asarray(leaf, float) if leaf.dtype.kind == "f" else jnp.asarray(leaf)
-
-    return jax.tree.map(wide, tree)
-
-
 @cache
 def another_moment() -> dict[str, Any]:
     """All that any term may have measured, of a pose of its own."""
@@ -158,6 +151,9 @@ def another_moment() -> dict[str, Any]:
         "elbows": points[1][ELBOWS] + 0.05,
         "sight_lines": jax.tree.map(lambda part: part[1], lines),
         "goals": Goals(MODEL.effectors, targets, np.array([1.0, 1.0, 0.0, 0.8, 0.8])),
+        "usual": Usual(
+            points[1][USUAL_ROWS] + 0.05, np.eye(3) + np.linspace(0, 9, 45).reshape(5, 3, 3)
+        ),
         "centre": pose,
         "last": LastPose(pose, np.linspace(0.01, 0.2, dofs - ROOT_DOF), np.bool_(True)),
         "estimate": EstimatedPose(pose, np.eye(dofs) + 0.1, np.linspace(-1, 1, dofs)),
@@ -167,7 +163,7 @@ def another_moment() -> dict[str, Any]:
 
 MORE = SearchedElbows(), NearEstimate(), EasyPosture(), EdgeEvidence()
 ALL = (*SETTINGS.terms, *GradientSettings().terms, *MORE)
-AREA = EdgeEvidence(compared="coverage")
+AREA = Chamfer(drawn=False)
 TERMS = {type(term).__name__: term for term in ALL} | {"EdgeEvidence over areas": AREA}
 
 
@@ -193,8 +189,11 @@ def all_jacobians(terms, model, pose, measured):
 
 
 def test_there_are_all_terms_of_the_package():
-    rooms = Path(jaxmocap.__file__).parent / "evidence"
-    declared = re.findall(r"^class (\w+)\(Term\)", "".join(map(_text, rooms.glob("*.py"))), re.M)
+    package = Path(jaxmocap.__file__).parent
+    files = [*package.glob("evidence/*.py"), *package.glob("hybrid/**/*.py")]
+    declared = re.findall(
+        r"^class (\w+)\((?:Term|EdgeEvidence)\)", "".join(map(_text, files)), re.M
+    )
     assert sorted(declared) == sorted({type(term).__name__ for term in TERMS.values()})
 
 

@@ -1,7 +1,10 @@
 """Calibrations of other systems that are broken or hostile: one sentence, nothing run, no file."""
 
 import pickle
+import re
 import tempfile
+import warnings
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -25,7 +28,9 @@ from hypothesis import strategies as st
 
 from jaxmocap.formats.calibrations.plain_pickle import read_plain_pickle
 from jaxmocap.formats.calibrations.registry import convert_calibration
+from jaxmocap.formats.cameras.calibration import read_calibration
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.geometry.cameras import Camera
 
 CAMERAS = {"cam_1": place(1), "cam_2": place(2)}
 FILES = [writer for writer in WRITERS if writer.__name__ != "opencap"]
@@ -108,6 +113,58 @@ class Runs:
 
     def __reduce__(self):
         return Path.touch, (self.path,)
+
+
+@pytest.mark.parametrize("writer", FILES)
+@pytest.mark.parametrize("number", ["1e39", "-1e24", "1e300", "-1e-300", "0"])
+def test_a_number_of_any_size_is_converted_or_refused_without_a_warning(tmp_path, writer, number):
+    name, content, files = sample(writer)
+    for other, beside in files.items():
+        (tmp_path / other).write_bytes(beside)
+    coding = "utf-16" if writer is motive else "utf-8"
+    text = content.decode(coding)
+    numbers = list(re.finditer(r"-?\d+\.\d*(e-?\d+)?", text))
+    assert numbers
+    for found in numbers[:: -(-len(numbers) // 40)]:
+        changed = text[: found.start()] + number + text[found.end() :]
+        (tmp_path / name).write_bytes(changed.encode(coding))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with suppress(InputError):
+                size = SIZE if writer is easymocap else None
+                convert_calibration(tmp_path / name, tmp_path / "ours.toml", size=size)
+                read_calibration(tmp_path / "ours.toml")
+
+
+def test_vicons_polynomial_and_its_centre_are_bounded(tmp_path):
+    name, content, _ = sample(vicon)
+    start = content.index(b'VICON_RADIAL2="')
+    end = content.index(b'"', start + 16)
+    for numbers, says in (
+        ("640 360 1e39 0 0", "times as far out"),
+        ("1e24 360 0 0 0", "a principal point within"),
+    ):
+        text = b'VICON_RADIAL2="Vicon3Parameter ' + numbers.encode()
+        path = written(tmp_path, name, content[:start] + text + content[end:])
+        assert says in refused(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"matrix": np.diag([1e39, 500, 1])}, "focal lengths up to 1e\\+08"),
+        ({"matrix": [[500, 0, 1e24], [0, 500, 240], [0, 0, 1]]}, "principal point within 65536"),
+        ({"matrix": [[500, 1e9, 320], [0, 500, 240], [0, 0, 1]]}, "a skew below"),
+        ({"distortion": [0, 0, 1e3]}, "p1 = 1000, expected none beyond 100"),
+        ({"distortion": [1e39], "lens": "fisheye"}, "k1 = 1e\\+39"),
+        ({"distortion": [np.nan]}, "k1 = nan"),
+        ({"size": (1e9, 480)}, "up to 65536"),
+    ],
+)
+def test_a_camera_that_cannot_be_is_refused_in_memory_too(changes, says):
+    matrix = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
+    with pytest.raises(ValueError, match=says):
+        Camera.create(**({"size": (640, 480), "matrix": matrix} | changes))
 
 
 def test_a_pickle_that_would_run_something_runs_nothing(tmp_path):

@@ -102,7 +102,7 @@ def degrees_between(R: np.ndarray, S: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("height", [1.5, 1.75, 1.95])
-def test_the_model_puts_the_joints_of_the_limbs_within_2_mm_of_ours(height, tmp_path):
+def test_the_model_puts_the_joints_of_the_limbs_within_3_mm_of_ours(height, tmp_path):
     motion = random_motion(Skeleton.human(height))
     theirs, ours = modelled(motion, tmp_path / "a.mot")[0], ours_y_up(motion)
     for side in "lr":
@@ -113,7 +113,7 @@ def test_the_model_puts_the_joints_of_the_limbs_within_2_mm_of_ours(height, tmp_
             from_shoulder = [
                 each[f"{joint}_{side}"] - each[f"shoulder_{side}"] for each in (theirs, ours)
             ]
-            assert farthest(*from_shoulder) < 2e-3
+            assert farthest(*from_shoulder) < 3e-3
 
 
 def test_the_model_orients_pelvis_thorax_and_the_lines_of_the_limbs_within_1_degree(tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from jaxmocap.formats.files.errors import InputError, OutputError
-from jaxmocap.formats.files.output_folder import LIST_NAME, OutputFolder
+from jaxmocap.formats.files.output_folder import LIST_NAME, OutputFolder, read_list
 from jaxmocap.formats.files.writing import check_target, replacing, temporary_beside, write_text
 
 
@@ -74,6 +74,17 @@ def test_after_an_error_the_folder_is_as_it_was(tmp_path):
     with pytest.raises(RuntimeError), OutputFolder(tmp_path / "new", "motion").writing():
         raise RuntimeError
     assert not (tmp_path / "new").exists()
+
+
+def test_what_a_run_wrote_first_stays_when_it_writes_more_and_an_earlier_runs_files_go(tmp_path):
+    for names in (["small", "large"], ["small", "late"]):
+        folder = OutputFolder(tmp_path, "run", names)
+        for name in names:
+            with folder.writing() as stage:
+                (stage / name).write_text(name)
+            assert (tmp_path / "small").exists()
+    assert set(read_list(tmp_path)) == {"small", "late"} and folder.is_complete()
+    assert {path.name for path in tmp_path.iterdir()} == {"small", "late", LIST_NAME}
 
 
 @pytest.mark.parametrize("kind", [InputError, OutputError])

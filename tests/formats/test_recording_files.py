@@ -9,6 +9,7 @@ from small_recording import write_small_recording
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.calibration.sync import estimate_video_offsets
 from jaxmocap.formats.cameras.calibration import write_calibration
+from jaxmocap.formats.convert import convert_file
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import (
     MarkerPlace,
@@ -17,6 +18,7 @@ from jaxmocap.formats.recordings.recording import (
     load_recording,
     write_recording,
 )
+from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.pipelines.check import check
@@ -111,6 +113,20 @@ def test_a_marker_that_is_never_seen_is_a_warning(folder):
         len(recording.warnings) == 1
         and "'Gone' is missing in every sample" in recording.warnings[0]
     )
+
+
+@pytest.mark.parametrize("suffix", [".trc", ".csv"])
+def test_a_position_at_exactly_zero_is_missing_and_counted(folder, suffix):
+    head = np.array([[1e-6, 0, 0], [0, 0, 1.5], [1e-6, 0, 0]])
+    path = folder / f"m{suffix}"
+    (write_trc if suffix == ".trc" else write_csv)(path, np.arange(3) / 10, {"Head": head})
+    path.write_text(path.read_text().replace("0.000001", "0"))
+    recording = load(folder, MARKERS.replace(".trc", suffix) + ON + SUBJECT)
+    assert np.isnan(recording.positions_world[:, 0]).all(-1).tolist() == [True, False, True]
+    (warning,) = recording.warnings
+    assert "marker 'Head' is at exactly 0, 0, 0 in 2 of 3 samples" in warning
+    (warning,) = convert_file(path, folder / "a.c3d")
+    assert warning == "left out: 2 positions at exactly 0, 0, 0, as missing"
 
 
 def test_a_static_trial_scales_the_skeleton(folder):

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import LIMITS, double, on_device
+from conftest import LIMITS, double, in_double, on_device
 from watched_arms import FRONT, MARKERS, PERSON, SIDE, SIZE, TRUTH, pictures
 
 import jaxmocap
@@ -22,6 +22,7 @@ from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
 from jaxmocap.body.model import Model, on_unmarked_feet
 from jaxmocap.body.pose import Pose
 from jaxmocap.evidence.edges import EdgeEvidence
+from jaxmocap.hybrid.paper.chamfer import Chamfer
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.smoothing.facing import references
 from jaxmocap.smoothing.functions import Events
@@ -37,16 +38,6 @@ CHOSEN = Settings(region=SIZE)
 
 def tracked_model(cameras=None) -> Model:
     return on_unmarked_feet(Model.create(PERSON, MARKERS, cameras))
-
-
-def in_double(tree: Any) -> Any:
-    """The floating-point leaves in float64; call it where that is enabled."""
-
-    def convert(leaf):
-        array = np.asarray(leaf)
-        return jnp.asarray(array, float) if np.issubdtype(array.dtype, np.floating) else leaf
-
-    return jax.tree.map(convert, tree)
 
 
 def any_direction(tree: Any, seed: int) -> Any:
@@ -281,13 +272,15 @@ def test_images_bring_the_elbows_nearer_and_without_them_the_pose_stays(way, sce
     np.testing.assert_allclose(after[1], before[1], atol=1e-12)
 
 
-@pytest.mark.parametrize("evidence", ["outline", "coverage"])
-def test_a_refined_pose_moves_as_finite_differences_say(scene, evidence):
+@pytest.mark.parametrize("edges", [EdgeEvidence(), Chamfer(drawn=False)], ids=["outline", "area"])
+def test_a_refined_pose_moves_as_finite_differences_say(scene, edges):
     """On the drawn pictures' own fields."""
-    chosen = replace(CHOSEN, refine="gradient", edges=EdgeEvidence(compared=evidence))
+    chosen = replace(CHOSEN, refine="gradient", edges=edges)
     with double():
         model, poses, observation = scene
-        if evidence == "coverage":
+        if isinstance(edges, Chamfer):
+            # One plain field: of two directions that are equally far none is the derivative's.
+            chosen = replace(chosen, directions=1)
             observation = observed(model, chosen, jax.tree.map(lambda part: part[0], poses))
         arguments = model, in_double(chosen), poses, observation
         assert_is_its_finite_difference(refined, arguments, 0, 1e-3)

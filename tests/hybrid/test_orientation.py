@@ -31,19 +31,20 @@ from jaxmocap.capture.streams.sample_assembly import (
 from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import load_motion, save_motion
-from jaxmocap.formats.recordings.live import R_WORLD_UNITY, LiveSetup, load_live
 from jaxmocap.formats.recordings.marker_places import MarkerPlace, bone_point_positions, bone_points
 from jaxmocap.formats.recordings.recording import load_markers, write_recording
+from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
 from jaxmocap.formats.time_series.csv import read_csv, write_csv
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
 from jaxmocap.pipelines.live.recording import LiveRecording
+from jaxmocap.pipelines.live.setup import LiveSetup, load_live
 from jaxmocap.pipelines.live.stream_states import _orientation_states
 from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.synthetic.movements import motions
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 
-BODY = with_wrists(Skeleton.human(1.75))
+BODY = with_wrists(Skeleton.human(1.75, proportions="winter"))
 TIMES = np.arange(5) / 10
 
 
@@ -431,7 +432,7 @@ def played(tmp_path_factory) -> tuple[Motion, Path]:
     """Half a second of table tennis by head-set and controllers, solved sample by sample."""
     folder = tmp_path_factory.mktemp("played")
     recording = Recording.load(write_controllers(folder, motions.table_tennis(0.5, 1), 0.5, 1))
-    tracker = make_tracker(recording, Settings(refine="none", balance="none"))
+    tracker = make_tracker(recording, Settings(refine="none", balance=False))
     state, poses = tracker.init(recording.positions_world[0]), []
     for time, markers in zip(recording.times, recording.positions_world, strict=True):
         state, pose, _ = tracker.step(state, time, markers)

@@ -37,6 +37,7 @@ from jaxmocap.geometry.cameras import project
 from jaxmocap.hybrid.fit import refine_arms
 from jaxmocap.hybrid.observe import arm_regions
 from jaxmocap.hybrid.settings import Settings, SimplexSettings
+from jaxmocap.images.edges import EdgeSettings, Thresholds, equalised, to_grey
 from jaxmocap.images.regions import to_region
 from jaxmocap.reference.hybrid import pipeline as reference
 
@@ -159,6 +160,24 @@ def test_swapped_regions_would_be_noticed():
     ):
         after = elbow_errors(arms_in(refined(start, fields=wrong)).elbow)
         assert (after > 0.03).any()
+
+
+def test_an_image_is_equalised_whole_before_its_regions_are_cut():
+    """So what is far from the arm counts too."""
+    (picture,) = pictures(FRONT)
+    picture = np.array(picture)
+    picture[:40] = 255
+    detection = EdgeSettings(equalise="image", blur_first=False, canny="thresholds", memory=0.0)
+    both = {}
+    for equalise, image in {
+        "image": picture,
+        "none": equalised(to_grey(picture), detection, Thresholds())[0],
+        "region": picture,
+    }.items():
+        chosen = Settings(region=SIZE, edge_detection=replace(detection, equalise=equalise))
+        both[equalise] = observed([image], CAMERAS, true_arms(), chosen).distances
+    np.testing.assert_array_equal(both["image"], both["none"])
+    assert (both["image"] != both["region"]).any()
 
 
 def test_the_region_of_an_arm_is_around_that_arm():

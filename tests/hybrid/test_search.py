@@ -7,13 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import on_device
+from conftest import double, in_double, on_device
 from watched_arms import (
     FRONT,
+    GRIPS,
     MODEL,
+    PERSON,
     SIDE,
     SIZE,
     TRUTH,
+    arms_in,
     elbow_errors,
     observed,
     picture_of,
@@ -23,12 +26,16 @@ from watched_arms import (
     true_arms,
     turned_by,
 )
+from waving_arms import BODY, image_of, waving
 
-from jaxmocap.body.arms import TURNS, swivels, turn_between, turn_forearm
+from jaxmocap.body.arms import arms_of, swivels, turn_between
+from jaxmocap.body.kinematics import forward
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.hybrid import elbow_search
 from jaxmocap.hybrid.refine import search_elbows
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.reference.hybrid import pipeline
+from jaxmocap.reference.hybrid import search as reference
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 
@@ -91,6 +98,55 @@ def test_a_second_camera_sees_what_one_cannot():
     error_of_both = elbow_errors(elbows_of(arms, together.turn))
     assert error[1] > 0.05 > error_of_both[1]
     assert together.deviation[1] < alone.deviation[1]
+
+
+# Against the reference ---------------------------------------------------------------------------
+
+GRIPS_64 = jax.tree.map(np.asarray, GRIPS)
+
+
+def markers_pose_at(time: float):
+    """Somebody waves; markers alone have the elbows astray, and the hands where they are."""
+    truth = waving(time)
+    angles = truth.angles.copy()
+    for side, swivel in (("l", 0.7), ("r", -0.5)):
+        moves = np.array([swivel, 0.0, 0.0, 0.0])
+        dofs = pipeline.arm_dofs(BODY, side)
+        angles[dofs] = pipeline.swing(BODY, truth, side, GRIPS_64, moves)[2]
+    return truth._replace(angles=angles)
+
+
+def test_over_a_second_the_search_is_the_references_in_double_precision():
+    """Costs of all candidates, the weights that frames hand on, the elbows; a frame is lost."""
+    small = Settings(region=32)
+    times = np.delete(np.arange(7) * 0.15, 3)
+    weights = np.zeros((2, len(reference.forearm_turns())))
+    with double():
+        chosen, person, camera = in_double((small, PERSON, FRONT))
+        cameras = stacked(camera)
+        filtered = jax.jit(elbow_search.search)
+        arms_at = jax.jit(lambda pose: arms_of(person, forward(person, pose), in_double(GRIPS)))
+        belief = elbow_search.no_belief(chosen.elbow_search, on_device(TRUTH))
+    for before, time in zip([-0.15, *times], times, strict=False):
+        pose = markers_pose_at(time)
+        fields = observed([image_of(waving(time))], ONE, arms_in(on_device(pose)), small)
+        origin, scale = (np.asarray(part, float)[0] for part in fields.region)
+        with double():
+            arms = arms_at(on_device(pose))
+            waiting = belief._replace(age=jnp.asarray(time - before))
+            belief = filtered(chosen, cameras, in_double(fields), arms, waiting)
+            elbows = elbow_search.believed_elbows(arms, belief.turn)
+        for i, side in enumerate("lr"):
+            distances = np.asarray(fields.distances, float)[0, i]
+            view = reference.EdgeView(camera, origin[i], scale[i], distances)
+            arm = reference.arm_of(BODY, pose, GRIPS_64, side)
+            expected = reference.filtered(small, view, arm, weights[i], time - before)
+            weights[i] = expected.log_weights
+            np.testing.assert_allclose(belief.log_weights[i], weights[i], rtol=1e-7, atol=1e-7)
+            np.testing.assert_allclose(belief.turn[i], expected.turn, atol=1e-8)
+            assert belief.deviation[i] == pytest.approx(expected.deviation, rel=1e-6)
+            elbow = reference.turned(arm, expected.turn)[0][1]
+            np.testing.assert_allclose(elbows[i], elbow, atol=1e-8)
 
 
 def stripes() -> np.ndarray:
@@ -199,38 +255,6 @@ def test_fields_of_a_camera_without_an_image_may_hold_anything():
     belief = step(BOTH, half, arms, prior_belief())
     alone = step(ONE, observed(pictures(FRONT), ONE, arms), arms, prior_belief())
     np.testing.assert_allclose(belief.turn, alone.turn, atol=1e-5)
-
-
-def test_candidates_surround_the_markers_forearm_evenly():
-    turns = np.degrees(TURNS)
-    assert (np.linalg.norm(turns, axis=1) <= 75).all()
-    assert np.linalg.norm(turns, axis=1).min() == 0
-    np.testing.assert_array_equal(turns[:, 2], 0)
-    apart = np.linalg.norm(turns[:, None] - turns, axis=-1) + 1e9 * np.eye(len(turns))
-    np.testing.assert_allclose(apart.min(0), apart.min(), rtol=1e-6)
-    np.testing.assert_allclose(turns.mean(0), 0, atol=1e-6)
-
-
-def test_a_turned_forearm_keeps_its_grip_and_its_lengths():
-    arm = jax.tree.map(lambda part: part[0], true_arms())
-    same, slack = turn_forearm(arm, jnp.eye(3))
-    np.testing.assert_allclose(same.elbow, arm.elbow, atol=1e-6)
-    assert abs(float(slack)) < 1e-6
-    angle = 0.4
-    R = jnp.array(
-        [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
-    )
-    moved, slack = turn_forearm(arm, R.astype(jnp.float32))
-    np.testing.assert_array_equal(moved.grip, arm.grip)
-
-    def length(a, b):
-        return np.linalg.norm(np.asarray(a) - np.asarray(b))
-
-    assert length(moved.elbow, moved.grip) == pytest.approx(length(arm.elbow, arm.grip), abs=1e-6)
-    assert length(moved.elbow, moved.shoulder) == pytest.approx(float(arm.humerus_length), abs=1e-6)
-    assert length(moved.elbow, arm.shoulder) - float(arm.humerus_length) == pytest.approx(
-        float(slack), abs=1e-6
-    )
 
 
 @pytest.mark.parametrize("angle", [-1.0, -0.2, 0.0, 0.7])

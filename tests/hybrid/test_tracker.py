@@ -21,9 +21,8 @@ from jaxmocap.hybrid import tracker as tracker_module
 from jaxmocap.hybrid.balance import spine_dofs, squat_goals
 from jaxmocap.hybrid.ik import goals_of
 from jaxmocap.hybrid.observe import edge_fields
-from jaxmocap.hybrid.refine import refine_event
 from jaxmocap.hybrid.settings import IKSettings, Settings, SimplexSettings
-from jaxmocap.hybrid.step import SOLVE, solve_event
+from jaxmocap.hybrid.step import SOLVE, refine_one, solve_event
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.reference import kinematics as reference
 from jaxmocap.reference.hybrid import ik as reference_ik
@@ -47,7 +46,7 @@ TRACED: dict[bool, list[str]] = {True: [], False: []}
 
 
 def counting(function, model, *rest):
-    TRACED[model.cameras is not None].append(function.__name__.removesuffix("_event"))
+    TRACED[model.cameras is not None].append(function.__name__.partition("_")[0])
     return function(model, *rest)
 
 
@@ -55,7 +54,7 @@ def counting(function, model, *rest):
 def counted():
     """From now on both programs count how often they are traced."""
     with pytest.MonkeyPatch.context() as patched:
-        for name, function in {"solve": solve_event, "refine": refine_event}.items():
+        for name, function in {"solve": solve_event, "refine": refine_one}.items():
             own = update_wrapper(partial(counting, function), function)
             # Of this run: what an earlier one kept would not be traced.
             program = Program(own, name, static=time_ns())
@@ -65,12 +64,12 @@ def counted():
 
 @pytest.fixture(scope="module")
 def tracker():
-    return CountedTracker(PERSON, [FRONT], Settings(region=64), MARKERS)
+    return CountedTracker(PERSON, [FRONT], Settings(refine="simplex", region=64), MARKERS)
 
 
 @pytest.fixture(scope="module")
 def markers_only():
-    return CountedTracker(PERSON, settings=Settings(balance="none"))
+    return CountedTracker(PERSON, settings=Settings(balance=False))
 
 
 def elbow_errors(pose, truth):

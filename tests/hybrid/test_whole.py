@@ -102,7 +102,7 @@ def test_the_body_rests_on_its_first_markers(recording, tracker):
 
 
 def test_recordings_side_by_side_are_solved_as_each_by_itself():
-    tracker = HybridTracker(PERSON, settings=Settings(balance="none"), markers=MARKERS)
+    tracker = HybridTracker(PERSON, settings=Settings(balance=False), markers=MARKERS)
     starts, shared = (0, 7), (tracker.model, tracker.settings)
     states = [tracker.init(markers_of(waving(first / RATE))) for first in starts]
     begun = jax.tree.map(lambda *parts: jnp.stack(parts), *[(s.pose, s.feet) for s in states])

@@ -1,5 +1,7 @@
 """Edges, distance fields, regions and look-ups against brute force, SciPy and given pixels."""
 
+from dataclasses import replace
+
 import cv2
 import jax
 import jax.numpy as jnp
@@ -73,12 +75,47 @@ def test_edges_lie_where_the_brightness_changes():
     assert set(np.unique(columns)) <= {22, 23, 24, 25, 39, 40, 41}
 
 
-@pytest.mark.parametrize("equalise", [False, True])
-def test_a_dim_and_a_bright_image_have_the_same_edges(equalise):
-    settings = EdgeSettings(equalise=equalise)
+@pytest.mark.parametrize("blur_first", [True, False])
+@pytest.mark.parametrize("equalise", ["none", "region"])
+def test_a_dim_and_a_bright_image_have_the_same_edges(equalise, blur_first):
+    settings = EdgeSettings(equalise=equalise, blur_first=blur_first)
     bright, dim = (fields_of(image, settings=settings)[0] for image in (bar(70), (bar(70) // 3)))
     # To the pixel: rounding the grey may move an edge to the next.
     assert np.abs(bright - dim)[:, 3:-3].max() <= 1.5
+
+
+def test_equalising_is_opencvs():
+    rng = np.random.default_rng(1)
+    grey = np.clip(rng.normal(90, 20, (SIZE, SIZE)), 0, 255).astype(np.uint8)
+    settings = EdgeSettings(equalise="image", blur_first=False)
+    actual, _ = edges.equalised(grey, settings, Thresholds())
+    assert np.abs(actual.astype(int) - cv2.equalizeHist(grey)).max() <= 1
+    first = replace(settings, blur_first=True, blur=1.5)
+    expected = cv2.equalizeHist(cv2.GaussianBlur(grey, (0, 0), 1.5))
+    assert np.abs(edges.equalised(grey, first, Thresholds())[0].astype(int) - expected).max() <= 1
+    plain = np.full((SIZE, SIZE), 77, np.uint8)
+    np.testing.assert_array_equal(edges.equalised(plain, settings, Thresholds())[0], plain)
+
+
+def test_a_recording_is_equalised_by_its_first_frame_where_that_is_remembered():
+    """So the same grey stays the same, whatever else comes into the picture."""
+    settings = EdgeSettings(blur=0.0, equalise="image", memory=1.0)
+    room = bar(90)
+    once, after = edges.equalised(room, settings, Thresholds())
+    crowded = room.copy()
+    crowded[:, :20] = 255
+    again, _ = edges.equalised(crowded, settings, after)
+    np.testing.assert_array_equal(again[:, 20:], once[:, 20:])
+    fresh, _ = edges.equalised(crowded, replace(settings, memory=0.0), after)
+    assert (fresh[:, 20:] != once[:, 20:]).any()
+
+
+def test_thresholds_of_ones_own_hold_whatever_the_image():
+    settings = EdgeSettings(canny="thresholds", blur=0.0)
+    dim, bright = (fields_of(image, settings=settings)[1] for image in (bar(70) // 8, bar(70)))
+    assert bright.any() and not dim.any()
+    *_, after = edges.distance_fields(bar(70), settings, Thresholds(), 1)
+    assert after == Thresholds()
 
 
 def test_thresholds_follow_the_images_slowly():

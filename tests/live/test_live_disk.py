@@ -21,10 +21,10 @@ from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.capture.video import Video, open_video
 from jaxmocap.formats.files.errors import InputError, OutputError
-from jaxmocap.formats.recordings.live import LiveSetup, load_live
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.pipelines.live.files import LineFile
 from jaxmocap.pipelines.live.recording import LiveRecording, check_free
+from jaxmocap.pipelines.live.setup import LiveSetup, load_live
 
 LIVE = """
 [markers.on]

@@ -13,11 +13,11 @@ from jaxmocap.capture.streams.senders import (
     fair_shares,
 )
 from jaxmocap.capture.streams.stream_clock import StreamClock
-from jaxmocap.capture.streams.udp import MAX_PACKETS_HZ, MarkerSocket
+from jaxmocap.capture.streams.udp import MAX_PACKETS_HZ, MarkerSocket, OscTable
 from jaxmocap.formats.files.addresses import LOOPBACK, Address
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.recordings.live import load_live
 from jaxmocap.outputs.senders.osc import DatagramSender
+from jaxmocap.pipelines.live.setup import load_live
 from jaxmocap.pipelines.live.status import FIRST_KEPT, NEWEST_KEPT, LiveStatus
 from jaxmocap.pipelines.live.stream_states import stream_states
 
@@ -30,9 +30,8 @@ class Line:
     def __init__(self, allowed=LOOPBACK):
         self.at = 0.0
         self.gathers, self.samples = gathering()
-        self.socket = MarkerSocket(
-            Address(port=0), self.gathers, now=lambda: self.at, allowed=allowed
-        )
+        table = OscTable(Address(port=0), allowed)
+        self.socket = MarkerSocket(table, self.gathers, now=lambda: self.at)
         self.socket.stop()
 
     def bring(self, *packets):
@@ -108,7 +107,7 @@ def test_strangers_are_counted_named_and_otherwise_ignored(line):
 def test_the_hosts_and_networks_that_may_send_are_stated(tmp_path):
     path = tmp_path / "live.toml"
     path.write_text(LIVE + "[osc]\nlisten = '0.0.0.0:5000'\nfrom = ['10.0.0.7', '192.168.1.0/24']")
-    line = Line(load_live(path).allowed_networks)
+    line = Line(load_live(path).source.allowed)
     hosts = ("10.0.0.7", "::ffff:10.0.0.7", "192.168.1.99", "10.0.0.8", "127.0.0.1", "::1", "who")
     line.bring(*(packet(0.0, host=host) for host in hosts))
     assert len(line.samples) == 3 and line.socket.ignored["stranger"] == 4
@@ -118,7 +117,7 @@ def test_the_hosts_and_networks_that_may_send_are_stated(tmp_path):
 def test_where_this_machine_alone_can_send_nobody_needs_to_be_stated(tmp_path, listen):
     path = tmp_path / "live.toml"
     path.write_text(LIVE + (f"[osc]\nlisten = '{listen}'" if listen else ""))
-    assert load_live(path).allowed_networks == LOOPBACK
+    assert load_live(path).source.allowed == LOOPBACK
 
 
 @pytest.mark.parametrize("listen", ["0.0.0.0:5000", "[::]:5000", "192.168.1.2:5000", "studio:5000"])
@@ -171,7 +170,7 @@ def test_what_is_no_port_is_refused_in_one_sentence(tmp_path, table, port):
 
 
 def test_a_host_that_is_not_there_is_refused_before_the_run_begins():
-    for opens in (lambda at: MarkerSocket(at, gathering()[0]), DatagramSender):
+    for opens in (lambda at: MarkerSocket(OscTable(at), gathering()[0]), DatagramSender):
         with pytest.raises(InputError, match="no such address"):
             opens(Address("no.such.host.invalid", 5000))
 

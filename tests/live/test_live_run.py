@@ -20,26 +20,24 @@ import jaxmocap.pipelines.live.loop
 from jaxmocap import Recording
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.capture.streams import cameras
-from jaxmocap.capture.streams.cameras import LiveCamera
+from jaxmocap.capture.streams.cameras import LiveCamera, LiveVideo
 from jaxmocap.capture.streams.inbox import LiveFrame
+from jaxmocap.capture.streams.lsl import LslTable
 from jaxmocap.capture.streams.sample_assembly import MarkerMeasurements, MarkerSample
+from jaxmocap.capture.streams.udp import DEFAULT_LISTEN, OscTable
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.filters import OneEuroSettings
-from jaxmocap.formats.recordings.live import (
-    DEFAULT_LISTEN,
-    DEFAULT_VMC,
-    R_WORLD_UNITY,
-    LiveSetup,
-    LiveVideo,
-    load_live,
-)
+from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
 from jaxmocap.outputs.senders.osc import Bundle
 from jaxmocap.outputs.senders.unity import to_unity
+from jaxmocap.outputs.senders.vmc import DEFAULT_SEND, VmcTable
+from jaxmocap.outputs.senders.vrchat import VrchatTable
 from jaxmocap.pipelines.live.loop import Live
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.session import live_summary
+from jaxmocap.pipelines.live.setup import LiveSetup, load_live
 from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stop import stopped_by_signals
 from jaxmocap.pipelines.live.tracking import Output
@@ -83,7 +81,7 @@ def write_file(folder: Path, text: str = FILE) -> Path:
     return path
 
 
-def small_setup(folder: Path, vmc: Address = DEFAULT_VMC) -> LiveSetup:
+def small_setup(folder: Path, vmc: Address = DEFAULT_SEND) -> LiveSetup:
     """The small recording as a live run, its video played from a file."""
     toml = write_small_recording(folder)
     recording = Recording.load(toml)
@@ -95,9 +93,8 @@ def small_setup(folder: Path, vmc: Address = DEFAULT_VMC) -> LiveSetup:
         recording.places,
         R_WORLD_UNITY,
         (LiveVideo("cam", source.camera, source.path),),
-        listen=Address(port=0),
-        vmc=vmc,
-        vrchat=vmc,
+        OscTable(Address(port=0)),
+        (VmcTable(vmc), VrchatTable(vmc)),
         calibration=folder / "calibration.toml",
         subject={"height": 1.75},
     )
@@ -108,9 +105,10 @@ def small_setup(folder: Path, vmc: Address = DEFAULT_VMC) -> LiveSetup:
 
 def test_the_file_of_a_live_run_is_read(tmp_path):
     setup = load_live(write_file(tmp_path))
-    assert setup.marker_names == ("Hmd", "1") and setup.aliases == {"LHR-1": "1"}
-    assert (setup.listen, setup.vmc) == (Address("0.0.0.0", 5000), DEFAULT_VMC)
-    assert setup.vrchat == Address("127.0.0.1", 9000) and setup.trackers == ("hip", "foot_l")
+    assert setup.marker_names == ("Hmd", "1") and setup.source.aliases == {"LHR-1": "1"}
+    assert setup.source.listen == Address("0.0.0.0", 5000)
+    vrchat = VrchatTable(Address("127.0.0.1", 9000), ("hip", "foot_l"))
+    assert setup.senders == (VmcTable(DEFAULT_SEND), vrchat)
     assert [video.source for video in setup.videos] == [2, "rtsp://somewhere/stream"]
     assert setup.videos[0].offset == -0.04
     np.testing.assert_array_equal(setup.R_world_source, R_WORLD_UNITY)
@@ -119,8 +117,9 @@ def test_the_file_of_a_live_run_is_read(tmp_path):
 def test_defaults_are_loopback_and_unitys_axes(tmp_path):
     path = write_file(tmp_path, "[markers.on]\nHmd = { bone = 'head' }\n")
     setup = load_live(path)
-    assert setup.listen == DEFAULT_LISTEN and setup.listen.host == setup.vmc.host == "127.0.0.1"
-    assert setup.vrchat is None and "no [subject]" in setup.warnings[0]
+    assert setup.source == OscTable(DEFAULT_LISTEN) and setup.senders == (VmcTable(DEFAULT_SEND),)
+    assert DEFAULT_LISTEN.host == DEFAULT_SEND.host == "127.0.0.1"
+    assert "no [subject]" in setup.warnings[0]
     assert setup.one_euro is None
     text = (
         "[markers]\nup = 'y'\nfilters = { one_euro = true }\n[markers.on]\nHmd = { bone = 'head' }"
@@ -140,14 +139,14 @@ def test_defaults_are_loopback_and_unitys_axes(tmp_path):
         ('= "1" }', '= "3" }', "no marker '3'"),
         ('["hip", "foot_l"]', '["hip", "nose"]', "trackers"),
         ('bone = "head"', 'bone = "skull"', "unknown bone 'skull'"),
-        ('camera = "other"', 'camera = "cam"', "one camera"),
+        ('camera = "other"', 'camera = "cam"', "another camera"),
         ("[osc]", "[markers.filters]\nbutterworth = 6.0\n[osc]", "expected one_euro"),
         ("[osc]", "[lsl]\nstream = 'mocap'\n[osc]", "one source"),
         ("device = 2", "device = 1e300", "device"),
         ("-0.04", "-1e9", r"offset: found.*from -60 to 60"),
         ("rtsp://somewhere/stream", "/dev/zero", "url: found.*rtsp"),
         ("rtsp://somewhere/stream", "file:///dev/zero", "url: found"),
-        ('camera = "other"', 'camera = "CAM"', "one camera|CAM"),
+        ('camera = "other"', 'camera = "CAM"', "another camera|CAM"),
         ('["hip", "foot_l"]', '["hip", "hip"]', "each once"),
         ('["hip", "foot_l"]', "[[]]", "each once"),
         ("Hmd = {", '"a\\nb" = { bone = "head" }\nHmd = {', "printable characters"),
@@ -190,11 +189,11 @@ def test_what_was_recorded_live_is_read_like_any_recording(tmp_path):
         LiveRecording(setup, tmp_path / "out")
 
 
-@pytest.mark.parametrize("stream", [None, "mocap"])
-def test_orientations_of_either_source_are_recorded(tmp_path, stream):
+@pytest.mark.parametrize("source", [OscTable(), LslTable("mocap")])
+def test_orientations_of_either_source_are_recorded(tmp_path, source):
     setup = small_setup(tmp_path)
     turned = replace(setup.places[0], offset_in="marker", offset=(0.0, 0.1, 0.0))
-    setup = replace(setup, places=(turned, *setup.places[1:]), lsl=stream)
+    setup = replace(setup, places=(turned, *setup.places[1:]), source=source)
     recording = LiveRecording(setup, tmp_path / "out")
     positions = small_recording().positions_world
     # A quarter turn about the vertical: the marker's y is the world's -x.

@@ -10,13 +10,14 @@ from test_live_markers import bundle, device, message
 from jaxmocap import Recording
 from jaxmocap.capture.streams.inbox import Inbox
 from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
-from jaxmocap.capture.streams.udp import Datagram, MarkerSocket
+from jaxmocap.capture.streams.udp import Datagram, MarkerSocket, OscTable
 from jaxmocap.formats.files.addresses import Address
-from jaxmocap.formats.recordings.live import LiveSetup, load_live
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.senders.osc import Bundle
-from jaxmocap.outputs.senders.vmc import VMC
+from jaxmocap.outputs.senders.unity import UnityBody
+from jaxmocap.outputs.senders.vmc import VMC, VmcTable
 from jaxmocap.pipelines.live.recording import LiveRecording
+from jaxmocap.pipelines.live.setup import LiveSetup, load_live
 from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stream_states import stream_states
 from jaxmocap.pipelines.live.tracking import LiveTracking
@@ -46,10 +47,11 @@ class Run:
         self.at, self.outputs = 0.0, 0
         self.inbox, self.status = Inbox(8), LiveStatus(open("/dev/null", "w"))  # noqa: SIM115
         self.recording = LiveRecording(setup, out) if out else None
-        self.tracking, self.vmc = tracking, VMC(setup.skeleton)
+        self.tracking, self.body = tracking, UnityBody(setup.skeleton)
+        self.vmc = VMC(VmcTable(), self.body)
         names = setup.marker_names
         self.gathers = SampleAssembler(names, {}, setup.R_world_source, self.give)
-        self.socket = MarkerSocket(Address(port=0), self.gathers, now=lambda: self.at)
+        self.socket = MarkerSocket(OscTable(Address(port=0)), self.gathers, now=lambda: self.at)
         self.socket.stop()
         devices = [("/VMC/Ext/Con/Pos", [name, *[0.0] * 6, 1.0]) for name in names]
         self.packet = Bundle([("/VMC/Ext/T", [0.0]), *devices])
@@ -75,7 +77,7 @@ class Run:
         self.socket.take(packets)
         while isinstance(sample := self.inbox.take(0.0), MarkerSample):
             for output in self.tracking.sample(sample) if self.tracking else []:
-                self.vmc.frame(output.time, output.pose)
+                self.vmc.frame(output.time, self.body.local(output.pose))
                 self.outputs += 1
         taken = time.perf_counter() - began
         self.status.count_output(self.at, taken)

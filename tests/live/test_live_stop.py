@@ -23,6 +23,7 @@ from test_live_run import Standing, small_setup
 import jaxmocap.pipelines.live.loop
 from jaxmocap import Recording
 from jaxmocap.capture.streams import cameras
+from jaxmocap.capture.streams.udp import OscTable
 from jaxmocap.capture.video import open_video
 from jaxmocap.cli.program import main
 from jaxmocap.formats.files.addresses import Address
@@ -83,19 +84,24 @@ def test_a_run_that_a_signal_ends_is_complete_and_reports_which(tmp_path, number
     port = free_port()
     path = tmp_path / "live.toml"
     path.write_text(f"{path.read_text()}\n[osc]\nlisten = {port}\n")
-    stop = threading.Event()
+    stop, before = threading.Event(), signal.getsignal(number)
 
     def play() -> None:
         threading.Thread(target=send_markers, args=(Address(port=port), stop), daemon=True).start()
-        time.sleep(1.5)
-        os.kill(os.getpid(), number)
+        # Before that it would end this process, as it should.
+        while signal.getsignal(number) == before and not stop.wait(0.05):
+            pass
+        if not stop.wait(1.5):
+            os.kill(os.getpid(), number)
 
     player = threading.Thread(target=play)
     player.start()
     out = tmp_path / "out"
-    figures = run_live(path, out=out, seconds=30.0, status=LiveStatus(StringIO()))
-    stop.set()
-    player.join()
+    try:
+        figures = run_live(path, out=out, seconds=30.0, status=LiveStatus(StringIO()))
+    finally:
+        stop.set()
+        player.join()
     assert figures["seconds"] < 20 and figures["terminated"] is terminated
     assert figures["problems"] == [] and figures["outputs"] > 20
     assert len(Recording.load(out / "recording.toml").times) > 20
@@ -200,7 +206,8 @@ def test_a_fault_within_the_run_closes_the_recording_all_the_same(tmp_path, monk
 def test_what_cannot_be_opened_leaves_no_recording_behind(tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
-        setup = replace(small_setup(tmp_path), listen=Address(port=taken.getsockname()[1]))
+        source = OscTable(Address(port=taken.getsockname()[1]))
+        setup = replace(small_setup(tmp_path), source=source)
         with pytest.raises(InputError, match="cannot listen there"):
             Live(setup, out=tmp_path / "out")
     assert not (tmp_path / "out").exists() and not threads()

@@ -13,13 +13,14 @@ import pytest
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.capture.streams.cameras import LiveVideo
 from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.formats.recordings.filters import OneEuroSettings
-from jaxmocap.formats.recordings.live import LiveSetup, LiveVideo
 from jaxmocap.formats.recordings.recording import MarkerPlace
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.live import tracking as live_tracking
+from jaxmocap.pipelines.live.setup import LiveSetup
 from jaxmocap.pipelines.live.tracking import LiveTracking
 from jaxmocap.smoothing.fixed_lag import SmoothedPose
 

@@ -14,13 +14,13 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.armatures.armature import joint_positions
 from jaxmocap.formats.armatures.body_armature import T_POSE, armature_of
-from jaxmocap.formats.recordings.live import DEFAULT_TRACKED, TRACKED
 from jaxmocap.outputs.senders.osc import Bundle
 from jaxmocap.outputs.senders.unity import UnityBody, euler_degrees
-from jaxmocap.outputs.senders.vmc import VMC
-from jaxmocap.outputs.senders.vrchat import Trackers
+from jaxmocap.outputs.senders.vmc import VMC, VmcTable
+from jaxmocap.outputs.senders.vrchat import DEFAULT_TRACKED, TRACKED, Trackers, VrchatTable
 
 SKELETON = Skeleton.human(1.75)
+BODY = UnityBody(SKELETON)
 HALF = np.sqrt(0.5)
 # The mirror between the world (x ahead, y left, z up) and Unity (x right, y up, z ahead).
 MIRROR = np.array([[0.0, -1, 0], [0, 0, 1], [1, 0, 0]])
@@ -48,7 +48,7 @@ def bones_of(datagrams: list[bytes]) -> dict[str, tuple[np.ndarray, np.ndarray]]
 
 
 def test_in_the_t_pose_no_bone_is_turned():
-    datagram, _ = VMC(SKELETON).frame(0.0, t_pose())
+    datagram = VMC(VmcTable(), BODY).frame(0.0, BODY.local(t_pose()))
     for _, turn in bones_of(datagram).values():
         np.testing.assert_allclose(turn * np.sign(turn[3]), [0, 0, 0, 1], atol=1e-6)
 
@@ -57,7 +57,7 @@ def test_who_turns_left_and_bends_an_elbow_does_so_in_unity():
     # A quarter turn to the left is by -90 degrees about Unity's y, for there angles run clockwise
     # seen from above; the left forearm, along -x in the T pose, swings ahead by +90 degrees.
     pose = t_pose((1.0, 2.0, 3.0), (HALF, 0.0, 0.0, HALF), elbow_flex_l=90.0)
-    bones = bones_of(VMC(SKELETON).frame(0.0, pose)[0])
+    bones = bones_of(VMC(VmcTable(), BODY).frame(0.0, BODY.local(pose)))
     np.testing.assert_allclose(bones["Hips"][0], [-2.0, 3.0, 1.0], atol=1e-6)
     np.testing.assert_allclose(bones["Hips"][1], [0, -HALF, 0, HALF], atol=1e-6)
     np.testing.assert_allclose(bones["LeftLowerArm"][1], [0, HALF, 0, HALF], atol=1e-6)
@@ -81,8 +81,8 @@ def test_unitys_joints_lie_where_the_mirrored_armature_has_them(pose):
 
 
 def test_a_frame_of_vmc_is_what_its_receivers_ask_for():
-    vmc = VMC(SKELETON)
-    datagrams, _ = vmc.frame(2.5, t_pose())
+    vmc = VMC(VmcTable(), BODY)
+    datagrams = vmc.frame(2.5, BODY.local(t_pose()))
     assert all(map(OscBundle.dgram_is_bundle, datagrams))
     # As VirtualMotionCapture's: shorter than what a network cuts up, the time last.
     assert len(datagrams) == 2 and max(map(len, datagrams)) <= 1200
@@ -98,7 +98,7 @@ def test_a_frame_of_vmc_is_what_its_receivers_ask_for():
         *("Hips", "Spine", "Chest", "UpperChest", "Neck", "Head"),
         *(f"{side}{bone}" for side in ("Left", "Right") for bone in sides),
     }
-    assert [m.params for m in messages_of([vmc.lost(3.0)])] == [[1, 3, 0, 0], [3.0]]
+    assert [m.params for m in messages_of(vmc.lost(3.0))] == [[1, 3, 0, 0], [3.0]]
 
 
 def test_a_bundle_is_filled_without_changing_its_texts():
@@ -112,9 +112,8 @@ def test_a_bundle_is_filled_without_changing_its_texts():
 
 def test_trackers_are_numbered_and_turned_as_unity_says_it():
     pose = t_pose((1.0, 2.0, 3.0), (HALF, 0.0, 0.0, HALF))
-    vmc = VMC(SKELETON)
-    _, local = vmc.frame(0.0, pose)
-    datagram = Trackers(vmc.body, DEFAULT_TRACKED).frame(local)
+    local = BODY.local(pose)
+    (datagram,) = Trackers(VrchatTable(), BODY).frame(0.0, local)
     params = {m.message.address: m.message.params for m in OscPacket(datagram).messages}
     assert len(params) == 2 * len(DEFAULT_TRACKED)
     np.testing.assert_allclose(params["/tracking/trackers/1/position"], [-2, 3, 1], atol=1e-5)
@@ -123,7 +122,8 @@ def test_trackers_are_numbered_and_turned_as_unity_says_it():
     # Facing left, which is -x, the left arm points back, to -z.
     assert elbow[2] < 1 - 0.4 and elbow[1] > 3
     assert params["/tracking/trackers/head/position"][1] > 3.4
-    everything = Trackers(vmc.body, TRACKED).frame(local)
+    table = VrchatTable(trackers=tuple(TRACKED))
+    (everything,) = Trackers(table, BODY).frame(0.0, local)
     assert "/tracking/trackers/8/rotation" in {
         m.message.address for m in OscPacket(everything).messages
     }

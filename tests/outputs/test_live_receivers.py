@@ -24,9 +24,9 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.formats.armatures.body_armature import T_POSE
-from jaxmocap.formats.recordings.live import DEFAULT_TRACKED
-from jaxmocap.outputs.senders.vmc import VMC
-from jaxmocap.outputs.senders.vrchat import Trackers
+from jaxmocap.outputs.senders.unity import UnityBody
+from jaxmocap.outputs.senders.vmc import VMC, VmcTable
+from jaxmocap.outputs.senders.vrchat import Trackers, VrchatTable
 
 # The world (x ahead, y left, z up) in Unity's frame (x right, y up, z ahead).
 MIRROR = np.array([[0.0, -1, 0], [0, 0, 1], [1, 0, 0]])
@@ -93,8 +93,9 @@ def degrees_between(a: np.ndarray, b: np.ndarray) -> float:
 def sent() -> list[Frame]:
     """The frames as receivers read them."""
     motion = moving_body()
-    vmc = VMC(motion.skeleton)
-    return [received(vmc.frame(float(motion.times[i]), pose_at(motion, i))[0]) for i in FRAMES]
+    body = UnityBody(motion.skeleton)
+    vmc, times = VMC(VmcTable(), body), motion.times
+    return [received(vmc.frame(float(times[i]), body.local(pose_at(motion, i)))) for i in FRAMES]
 
 
 def rest_direction(bone: str) -> np.ndarray:
@@ -144,14 +145,13 @@ def test_a_frame_says_that_the_person_is_tracked_and_when():
 
 def test_vrchat_finds_the_trackers_by_the_head():
     """Its own world is turned and moved against ours; head and heading are all that it has."""
-    vmc = VMC(moving_body().skeleton)
-    trackers = Trackers(vmc.body, DEFAULT_TRACKED)
+    body = UnityBody(moving_body().skeleton)
+    trackers = Trackers(VrchatTable(), body)
     joints = {1: "Hips", 2: "UpperChest", 3: "LeftFoot", 4: "RightFoot"}
     joints |= {5: "LeftLowerArm", 6: "RightLowerArm"}
     turn, shift = Rotation.from_rotvec([0.0, 1.3, 0.0]), np.array([4.0, 0.2, -3.0])
     for i, frame, ours in zip(FRAMES, sent(), segments(), strict=False):
-        _, local = vmc.frame(0.0, pose_at(moving_body(), i))
-        datagram = trackers.frame(local)
+        (datagram,) = trackers.frame(0.0, body.local(pose_at(moving_body(), i)))
         assert len(datagram) <= 1200
         assert all(len(t.message.params) == 3 for t in OscPacket(datagram).messages)
         avatar = on_avatar(frame, None)

@@ -21,6 +21,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.mot import read_mot, write_mot
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.solids import limb_solid
+from jaxmocap.outputs import viewer
 from jaxmocap.outputs.ellipses import SIGMAS, ellipses_in, landmark_ellipses, uncertainty_of
 from jaxmocap.outputs.floor import floor_of
 from jaxmocap.outputs.layout import lay_out
@@ -395,6 +396,26 @@ def test_the_viewer_plots_the_joint_angles_as_angles_mot_has_them(tmp_path, moti
     for name in shown:
         rows = [row[0] for b in timed[name] for row in b.column("Scalars:scalars").to_pylist()]
         np.testing.assert_allclose(rows, np.degrees(columns[name.rpartition("/")[2]]), atol=1e-4)
+
+
+def test_a_long_motion_goes_into_the_file_piece_by_piece_and_every_nth_sample_of_it(
+    tmp_path, motion, targets, monkeypatch
+):
+    monkeypatch.setattr(viewer, "MOST_SAMPLES", 20)
+    monkeypatch.setattr(viewer, "SAMPLES_AT_ONCE", 8)
+    statuses = tuple(("lost",) if i == 3 else () for i in range(SAMPLES))
+    warned = replace(motion, report=replace(motion.report, statuses=statuses))
+    write_rerun(tmp_path / "recording.rrd", warned, targets=targets)
+    timed, static = read_recording(tmp_path / "recording.rrd")
+    shown = np.round(motion.times[::2] * 1e9)
+    parts = timed["/world/body/radius_l"]
+    # No more is in memory at once than one part.
+    assert max(batch.num_rows for batch in parts) <= 8
+    for entity in ("/world/body/radius_l", "/world/skeleton", "/world/markers/Head"):
+        np.testing.assert_allclose(nanoseconds(timed[entity]), shown, atol=1)
+    assert len(static["/world/body/radius_l"]) == 1
+    # A status between two shown samples is shown with the first of them.
+    assert nanoseconds(timed["/statuses"]) == pytest.approx([shown[1]], abs=1)
 
 
 def test_the_floor_lies_under_the_feet_and_where_nothing_is_known_there_is_none(motion):

@@ -1,7 +1,9 @@
 """``jaxmocap keypoints``: a detector's process, an ONNX model, what is written and refused."""
 
+import errno
 import re
 import sys
+from codecs import BOM_UTF8
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +15,11 @@ from onnx import TensorProto, helper
 from small_recording import FRAMES, SIZE, write_small_recording
 
 from jaxmocap.cli.program import main
+from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoints import read_keypoints
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.crops import cropped
+from jaxmocap.pipelines.keypoints.by_mediapipe import mediapipe_detector
 from jaxmocap.pipelines.keypoints.by_onnx import onnx_detector
 
 # Stands in for the package in the detector's environment: point n lies at (n, 2 n) hundredths.
@@ -82,6 +86,52 @@ def test_a_process_detects_and_the_recording_uses_it(recording, environment, cap
     # Again: the line stays one line, the file is replaced.
     assert detect(recording, "--python", sys.executable, "--write") == 0
     assert recording.read_text("utf-8") == text
+
+
+@pytest.mark.parametrize(
+    ("answers", "says"),
+    [
+        ("print('[[1, 2, 3], [4, 5]]')", "answered '[[1, 2, 3], [4, 5]]\\n', expected 17 times"),
+        ("print('[' * 30_000_000)", "expected 17 times [x, y, confidence]"),
+        ("print('{\"a\": 1}')", "expected 17 times [x, y, confidence]"),
+        ("print([[1, 2, float('nan')]] * 17)", "expected 17 times [x, y, confidence]"),
+        ("time.sleep(60)", "gave no answer within 2 s (--detector-timeout)"),
+    ],
+)
+def test_a_detector_that_answers_something_else_is_one_sentence(tmp_path, answers, says):
+    stand_in = tmp_path / "python"
+    lines = [f"#!{sys.executable}", "import sys, time", "print('ready', flush=True)", answers]
+    stand_in.write_text("\n".join([*lines, "sys.stdout.flush()", "time.sleep(60)"]))
+    stand_in.chmod(0o755)
+    # More than a pipe holds: it never reads.
+    image = np.zeros((400, 400, 3), np.uint8)
+    with (
+        pytest.raises(InputError) as refused,
+        mediapipe_detector(str(stand_in), 2.0).opened() as detect,
+    ):
+        detect(image[: 400 if "sleep" in answers else 4], np.zeros(4))
+    assert says in str(refused.value) and len(str(refused.value)) < 400
+
+
+def test_a_full_disk_names_the_file(recording, environment, monkeypatch, capsys):
+    environment()
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    assert detect(recording, "--python", sys.executable) == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "cam.json: cannot be written (No space left on device)" in last
+
+
+def test_the_recordings_line_ends_and_byte_order_mark_stay(recording, environment):
+    environment()
+    recording.write_bytes(BOM_UTF8 + recording.read_bytes().replace(b"\n", b"\r\n"))
+    assert detect(recording, "--python", sys.executable, "--write") == 0
+    text = recording.read_bytes()
+    assert text.startswith(BOM_UTF8) and b"keypoints = " in text
+    assert text.count(b"\r\n") == text.count(b"\n")
 
 
 def test_what_was_stated_of_other_key_points_is_stated_of_these(recording, environment):

@@ -19,6 +19,7 @@ from small_recording import (
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.motion import Motion
+from jaxmocap.body.pose import Pose
 from jaxmocap.capture.video import open_video
 from jaxmocap.cli.recording_options import select_cameras, with_height
 from jaxmocap.evaluation.motions import evaluate
@@ -33,11 +34,15 @@ from jaxmocap.geometry.cameras import turned
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import EVENTS
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.outputs import viewer
 from jaxmocap.outputs.report import MISFIT_M
+from jaxmocap.pipelines import writing
 from jaxmocap.pipelines.summary import figures, frames_per_second, misfit, summary
 from jaxmocap.pipelines.tracking import warnings
-from jaxmocap.pipelines.tracking.track import choose_settings, make_tracker, track, track_both
-from jaxmocap.pipelines.writing import MOTION, arm_edges, viewer_frames, write_outputs
+from jaxmocap.pipelines.tracking.motions import low_passed
+from jaxmocap.pipelines.tracking.track import make_tracker, track, track_both
+from jaxmocap.pipelines.viewer_frames import arm_edges, viewer_frames
+from jaxmocap.pipelines.writing import MOTION, write_outputs
 from jaxmocap.smoothing.fixed_lag import DELAY_S
 
 WRISTS = {"wrist_l": "LWrist", "wrist_r": "RWrist"}
@@ -147,23 +152,8 @@ def test_the_report_holds_the_trackers_settings(tracked):
     used = tracked.motion.report.settings
     assert used["recording"] == "small" and used["mode"] == "own" and used["cameras"] == ["cam"]
     assert used["markers"] == list(PLACES) and used["warnings"] == []
-    assert used["tracker"]["refine"] == "simplex"
+    assert used["tracker"]["refine"] == "search"
     assert used["tracker"]["simplex"]["iterations"] > 0
-
-
-def test_smoothing_over_a_recording_starts_at_the_search_and_says_so():
-    # What follows the search is never called, and where it was asked for there is a sentence.
-    recording, used = small_recording(), compiled().settings
-    one_pass = replace(used, refine="search", smooth=False)
-    searched = track_both(recording, one_pass)
-    both = track_both(recording, replace(used, refine="gradient"))
-    angles = [each.markers_only.poses.angles for each in (searched, both)]
-    np.testing.assert_array_equal(*angles)
-    np.testing.assert_array_equal(
-        both.motion.poses.angles, track(recording, tracker=compiled()).poses.angles
-    )
-    assert any("refinement by gradient" in s for s in both.motion.report.settings["warnings"])
-    assert both.motion.report.settings["tracker"]["refine"] == "gradient"
 
 
 def test_tracking_twice_with_one_tracker_gives_the_same(tracked):
@@ -221,7 +211,7 @@ def test_without_video_the_markers_are_tracked_alone():
     motion = track(recording, Settings())
     assert np.isnan(motion.report.arm_costs).all()
     assert motion.report.marker_errors.max() < 0.02
-    assert set(motion.report.milliseconds) == {"first_call", "solve", "refine", "sample"}
+    assert set(motion.report.milliseconds) == {"first_call", "solve", "refine", "sample", "smooth"}
     assert motion.report.statuses == ((),) * SAMPLES
 
 
@@ -315,20 +305,57 @@ def test_cameras_are_chosen_by_name_and_a_wrong_name_lists_them():
 
 
 def test_a_height_replaces_the_skeleton_and_a_wrong_one_is_refused():
-    taller = with_height(small_recording(), 1.9).skeleton
-    assert float(taller.lengths.sum()) > float(small_recording().skeleton.lengths.sum())
+    taller, smaller = (with_height(small_recording(), each).skeleton for each in (1.9, 1.5))
+    np.testing.assert_allclose(taller.lengths, smaller.lengths * (1.9 / 1.5), rtol=1e-5)
     with pytest.raises(InputError, match=r"small: .*height"):
         with_height(small_recording(), 40.0)
 
 
-def test_settings_are_chosen_by_words():
-    assert choose_settings("none").refine == "none" and choose_settings().search
-    assert choose_settings(paper=True).edges.compared == "coverage"
-    assert make_tracker(small_recording(), choose_settings("none")).model.cameras is None
+def test_what_only_fits_frame_by_frame_is_refused_where_poses_are_smoothed():
+    assert make_tracker(small_recording(), Settings(refine="none")).model.cameras is None
+    for refine in ("simplex", "gradient"):
+        with pytest.raises(ValueError, match=f'found refine = "{refine}".*expected "search"'):
+            track(small_recording(), Settings(refine=refine))
 
 
-def test_the_papers_own_way_does_not_smooth():
-    assert choose_settings().smooth and not choose_settings(paper=True).smooth
+def test_a_low_pass_over_poses_found_frame_by_frame_keeps_what_is_slow():
+    """The pelvis moves at 0.5 Hz and trembles at 10, sample by sample; opposite quaternions are one
+    turn; angles stay within their ranges."""
+    skeleton, times = make_tracker(small_recording()).model.skeleton, np.arange(300) / 60
+    slow, fast = np.sin(np.pi * times), 0.2 * np.sin(20 * np.pi * times)
+    turn = np.stack([np.cos((slow + fast) / 4), 0 * times, 0 * times, np.sin((slow + fast) / 4)], 1)
+    turn[::7] *= -1
+    high = np.asarray(skeleton.limits)[:, 1]
+    angles = np.broadcast_to(high, (300, len(high))) + fast[:, None]
+    place = np.stack([slow + fast, 0 * times, 0 * times], 1)
+    poses = low_passed(times, Pose(place, turn, angles), skeleton, 2.0)  # type: ignore[arg-type]
+    inner = slice(60, -60)
+    np.testing.assert_allclose(np.asarray(poses.position)[inner, 0], slow[inner], atol=0.01)
+    half = np.arctan2(*np.asarray(poses.quaternion).T[[3, 0]])
+    np.testing.assert_allclose(np.tan(half)[inner], np.tan(slow / 4)[inner], atol=0.01)
+    assert (np.asarray(poses.angles) <= high + 1e-6).all()
+
+
+def test_a_low_pass_is_refused_where_it_takes_no_part():
+    chosen = replace(Settings(smooth=False), low_pass=2.0)
+    for settings, mode, says in (
+        (replace(chosen, smooth=True), "own", "low_pass = 2, which has no part in smoothed poses"),
+        (chosen, "causal", "low_pass = 2, which looks ahead"),
+        (replace(chosen, low_pass=500.0), "own", "low_pass: found 500 Hz, expected less than"),
+    ):
+        with pytest.raises((ValueError, InputError), match=says):
+            track(small_recording(), settings, mode=mode)
+
+
+def test_a_low_pass_acts_on_the_samples_of_an_unsmoothed_run():
+    plain, low = (
+        track(small_recording(), Settings(refine="none", smooth=False, low_pass=cutoff))  # type: ignore[arg-type]
+        for cutoff in (0.0, 2.0)
+    )
+    expected = low_passed(plain.times, plain.poses, plain.skeleton, 2.0)
+    for ours, theirs in zip(low.poses, expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-6)
+    assert np.abs(np.asarray(low.poses.angles) - np.asarray(plain.poses.angles)).max() > 1e-3
 
 
 # Files -------------------------------------------------------------------------------------------
@@ -357,6 +384,24 @@ def test_everything_is_written_and_nothing_else(written):
     names = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
     names |= {"angles_isb.mot", "report.json", "overlay_cam.mp4", "recording.rrd", "outputs.json"}
     assert {path.name for path in written.iterdir()} == names
+
+
+def test_the_motion_is_in_place_before_the_first_picture_is_drawn(tracked, tmp_path, monkeypatch):
+    def killed(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writing, "write_overlay", killed)
+    monkeypatch.setattr(viewer, "MOST_SAMPLES", 10)
+    sentences: list[str] = []
+    with pytest.raises(KeyboardInterrupt):
+        write_outputs(tracked.motion, small_recording(), tmp_path, warn=sentences.append)
+    assert sentences[-1] == "recording.rrd: one sample in 3, the other files have all"
+    names = {*writing.MOTION_FILES, "report.json", "outputs.json"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    assert OutputFolder(tmp_path, writing.MOTION).is_complete()
+    monkeypatch.undo()
+    write_outputs(tracked.motion, small_recording(), tmp_path, compiled().settings)
+    assert (tmp_path / "recording.rrd").exists()
 
 
 def test_joints_and_motion_read_back_as_they_were(written, tracked):

@@ -97,7 +97,7 @@ def test_edges_are_further_pairs():
     np.testing.assert_array_equal(both.nodes[:, len(ROWS) :], edges.nodes)
 
 
-BODY = with_joints(Skeleton.human(1.75), "supple.toml")
+BODY = with_joints(Skeleton.human(1.75, proportions="winter"), "supple.toml")
 
 
 def test_the_bodys_file_says_which_joints_are_held_at_rest():

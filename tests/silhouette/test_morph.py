@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import screws
-from conftest import double
+from conftest import double, in_double
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from point_rays import on_rays
@@ -31,7 +31,7 @@ from jaxmocap.silhouette.surfaces import morph as m
 from jaxmocap.silhouette.surfaces import swelling as s
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
-BODY = with_joints(Skeleton.human(1.75), "supple.toml")
+BODY = with_joints(Skeleton.human(1.75, proportions="winter"), "supple.toml")
 SURFACE, JOINTS, TREE = generic_surface(BODY), rest_joints(BODY), BODY.tree
 LIFT = b.Driver(("arm_flex_l", "arm_abduct_l"))
 BENT = b.Driver(("elbow_flex_l",), "squared")
@@ -75,13 +75,6 @@ def interpolated(
         for a, b in zip(first[1:], second[1:], strict=True)
     )
     return BodyPoints(first.bones, places, shares)
-
-
-def in_double(tree):
-    """The same with every fractional number in double precision."""
-    return jax.tree.map(
-        lambda x: jnp.asarray(x, float) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree
-    )
 
 
 def standing(at) -> Pose:

@@ -11,6 +11,7 @@ from conftest import double
 from scipy import optimize
 
 from jaxmocap.solvers.least_squares import Method, least_squares
+from jaxmocap.solvers.optimum import least_squares_step
 from jaxmocap.solvers.status import SENTENCES, Status
 
 METHODS = get_args(Method)
@@ -141,3 +142,35 @@ def test_the_solution_moves_with_its_parameters_as_finite_differences_say(method
         ]
     assert np.abs(actual).min() > 1e-3
     np.testing.assert_allclose(actual, np.stack(columns, 1), rtol=1e-3, atol=1e-5)
+
+
+# The step of a minimum as its residuals change ---------------------------------------------------
+
+
+def step_problems(dtype) -> tuple[jax.Array, ...]:
+    """Eight, their columns of very different size, one unknown held."""
+    rng = np.random.default_rng(0)
+    J = rng.normal(size=(8, 12, 5)) * np.array([250.0, 30.0, 1.0, 0.3, 4.0])
+    S = 0.02 * rng.normal(size=(8, 5, 5))
+    moves = np.tile([True, True, False, True, True], (8, 1))
+    parts = (J, S + S.swapaxes(1, 2), moves, rng.normal(size=(8, 12)), rng.normal(size=(8, 5)))
+    return tuple(jnp.asarray(part, dtype if part.dtype != bool else bool) for part in parts)
+
+
+@pytest.mark.parametrize(("dtype", "within"), [("float64", 1e-8), ("float32", 1e-3)])
+def test_the_step_is_that_of_the_dense_equations(dtype, within):
+    with double():
+        J, S, moves, change, pull = map(np.asarray, step_problems(jnp.float64))
+        actual = jax.vmap(least_squares_step)(*step_problems(dtype))
+    for i, step in enumerate(np.asarray(actual, float)):
+        free = moves[i]
+        hessian = (J[i].T @ J[i] + S[i])[np.ix_(free, free)]
+        expected = -np.linalg.solve(hessian, (J[i].T @ change[i] + pull[i])[free])
+        np.testing.assert_allclose(step[free], expected, rtol=within, atol=within * 1e-2)
+        assert step[~free] == 0
+
+
+def test_a_batch_of_steps_has_nothing_that_hangs_on_two_cores():
+    """QR and triangular solves of a batch wait for one another (jaxlib 0.10.2)."""
+    program = str(jax.make_jaxpr(jax.vmap(least_squares_step))(*step_problems(jnp.float32)))
+    assert "svd[" in program and "qr[" not in program and "triangular_solve[" not in program

@@ -77,7 +77,7 @@ def write_controllers(
     write_csv(directory / "markers.csv", times, points, turns)
     truth = figure.landmarks(performance.bones(times))
     write_trc(directory / "truth.trc", times, truth, rate=MARKER_RATE)
-    subject: dict[str, Any] = {"height": figure.height, "wrists": oriented}
+    subject: dict[str, Any] = {"height": figure.height, "proportions": "winter", "wrists": oriented}
     return write_recording(directory, "markers.csv", device_places(oriented), subject=subject)
 
 

@@ -16,7 +16,7 @@ HEIGHT, SAMPLES, RATE = 1.75, 60, 60.0
 def moving_body() -> Motion:
     """A second of every joint between its limits, each at its own pace."""
     rng = np.random.default_rng(5)
-    skeleton = Skeleton.human(HEIGHT)
+    skeleton = Skeleton.human(HEIGHT, proportions="winter")
     low, high = np.asarray(skeleton.limits, float).T
     t = np.arange(SAMPLES) / RATE
     paces, starts = rng.uniform(3, 12, len(low)), rng.uniform(0, 6, len(low))

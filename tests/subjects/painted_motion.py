@@ -25,7 +25,7 @@ from jaxmocap.images.silhouette_grid import Grid
 from jaxmocap.smoothing.problem import FirstPass, SmoothingProblem, Trajectory, Views
 from jaxmocap.smoothing.settings import SmoothingSettings
 
-PERSON = Skeleton.human(1.75)
+PERSON = Skeleton.human(1.75, proportions="winter")
 MARKERS = landmark_sites(PERSON, ("vertex", "wrist_l", "wrist_r"))
 ELBOWS = [LANDMARKS.index(f"elbow_{side}") for side in "lr"]
 CAMERAS = (

@@ -64,7 +64,7 @@ def write_turning_head(
     places = device_places(False)
     if oriented:
         places["Headset"] = device_places(True)["Headset"]
-    subject = {"height": performance.figure.height, "wrists": oriented}
+    subject = {"height": performance.figure.height, "wrists": oriented, "proportions": "winter"}
     path = write_recording(
         folder, "markers.csv", places, videos=videos,
         calibration_file="calibration.toml" if filmed else None, subject=subject,

@@ -23,7 +23,7 @@ DEGREES = {
     "arm_rot": (60, -30),
     "elbow_flex": (80, 75),
 }
-PERSON = Skeleton.human(1.75)
+PERSON = Skeleton.human(1.75, proportions="winter")
 TRUTH = arm_pose(PERSON, DEGREES)
 FRONT = camera_at((2.2, 0.3, 1.35), (0.0, 0.0, 1.15))
 SIDE = camera_at((0.7, -2.2, 1.4), (0.0, 0.0, 1.15))

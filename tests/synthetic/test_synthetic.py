@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from bench.stretching import UPRIGHT, stretching
 from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.mass import centre_of_gravity
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import WINTER, Skeleton
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.geometry.cameras import project
@@ -84,7 +84,9 @@ def test_feet_stay_planted(performance):
 
 def test_limbs_differ_from_the_tables_by_up_to_three_percent(performance):
     figure = performance.figure
-    ratio = np.asarray(figure.skeleton.lengths / Skeleton.human(figure.height).lengths)
+    ratio = np.asarray(
+        figure.skeleton.lengths / Skeleton.human(figure.height, proportions=WINTER).lengths
+    )
     assert np.abs(ratio - 1).max() <= motions.LIMB_VARIATION + 1e-6
     assert np.ptp(ratio) > 0.02
 
@@ -153,7 +155,7 @@ def test_the_squat_goes_down_by_thirty_centimetres_and_stays_over_the_feet():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_stretching_bends_the_elbows_all_the_way_by_somebody_of_unusual_arms(seed):
-    performance, usual = stretching(SECONDS, seed), Skeleton.human(1.75)
+    performance, usual = stretching(SECONDS, seed), Skeleton.human(1.75, proportions=WINTER)
     points = performance.landmarks(TIMES)
     upper = points["elbow_l"] - points["shoulder_l"]
     fore = points["wrist_l"] - points["elbow_l"]

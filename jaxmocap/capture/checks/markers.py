@@ -11,12 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.capture.checks.body_reach import (
-    max_marker_distances,
-    skeleton_stature,
-    standing_points,
-)
+from jaxmocap.body.subject import skeleton_stature
+from jaxmocap.capture.checks.body_reach import max_marker_distances, standing_points
 from jaxmocap.capture.checks.finding import Finding
+from jaxmocap.capture.checks.lengths import check_lengths
 from jaxmocap.capture.checks.sides import check_heights, check_sides
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.recordings.recording import Recording
@@ -33,6 +31,8 @@ UNIT_FACTORS = {
     "metres, not millimetres": 0.001,
     "metres, not centimetres": 0.01,
 }
+# A unit is named where it explains the span up to such a factor: people bend and raise arms.
+UNIT_TOLERANCE = 2.5
 STATURE_RANGE_M = (0.4, 2.6)
 # Limbs may be a tenth longer than a table says,
 REACH_MARGIN_SHARE = 1.1
@@ -66,14 +66,14 @@ def check_markers(recording: Recording) -> list[Finding]:
     if unit:
         # Whatever else is wrong follows from the unit.
         return findings + unit
-    return [
-        *findings,
+    findings += [
         *_check_origin(recording),
         *_check_up(recording),
         *check_sides(recording),
         *check_heights(recording),
-        *_check_reach(recording),
     ]
+    # A marker on a wrong bone says nothing of lengths.
+    return findings + (list(_check_reach(recording)) or list(check_lengths(recording)))
 
 
 def _check_positions(recording: Recording) -> Iterator[Finding]:
@@ -132,11 +132,13 @@ def _check_unit(recording: Recording) -> Iterator[Finding]:
         yield Finding("unit", "[markers] file: all markers lie at one place", fatal=True)
         return
     unit = min(UNIT_FACTORS, key=lambda name: abs(np.log(times / UNIT_FACTORS[name])))
+    cause = f"the numbers look like {unit}, {_unit_field(recording.markers_file)}"
+    if abs(np.log(times / UNIT_FACTORS[unit])) > np.log(UNIT_TOLERANCE):
+        cause = "no unit explains that, are these one person's markers?"
     yield Finding(
         "unit",
         f"[markers] file: the markers span {times * expected:.4g} m, as on a person of "
-        f"{times * skeleton_stature(recording.skeleton):.4g} m, expected {expected:.2g} m; the "
-        f"numbers look like {unit}, {_unit_field(recording.markers_file)}",
+        f"{times * skeleton_stature(recording.skeleton):.4g} m, expected {expected:.2g} m; {cause}",
         fatal=True,
     )
 

@@ -1,11 +1,14 @@
 """Cameras that are on: a device, a network stream, or a file at its own pace.
 
-INPUTS: a LiveVideo. OUTPUTS: LiveFrames, the newest, from a thread of its own; what became of it.
+INPUTS: [[video]] of a live file. OUTPUTS: LiveFrames, the newest, from a thread of its own; what
+became of it.
 """
 
 import math
+import re
 from collections.abc import Callable, Generator
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from time import monotonic
@@ -19,9 +22,11 @@ from av.error import FFmpegError
 from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.capture.streams.listener import Listener
 from jaxmocap.capture.video import SIZE_TOLERANCE, Video, image_of
+from jaxmocap.formats.cameras.video_tables import read_video_tables
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import short_repr
-from jaxmocap.formats.recordings.live import LiveVideo
+from jaxmocap.formats.files.toml import TomlTable
+from jaxmocap.geometry.cameras import Camera
 
 Images = Generator[np.ndarray, None, None]
 # A camera that went away is asked for again after so many seconds.
@@ -35,6 +40,33 @@ LOW_LATENCY_OPTIONS = {
     "probesize": "32768",
     "analyzeduration": "0",
 }
+
+# More than any live run has; compiling takes as long as there are cameras.
+MAX_CAMERAS = 16
+# No camera is slower, seconds.
+MAX_DELAY_S = 60.0
+# Devices are counted from 0.
+MAX_DEVICE = 999
+# The address of a stream; a file has a field of its own.
+_URL = re.compile(r"(?!file:)[a-z][a-z0-9+.-]*://[!-~]+", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class LiveVideo:
+    """One camera that is on.
+
+    Attributes:
+        camera_name: its section in the calibration.
+        camera: its calibration.
+        source: index of a device, path of a file, or address of a network stream.
+        offset: seconds to add to a frame's arrival to get when it was exposed, on the markers'
+            clock; negative by the camera's delay.
+    """
+
+    camera_name: str
+    camera: Camera
+    source: int | Path | str
+    offset: float = 0.0
 
 
 class LiveCamera(Listener):
@@ -202,3 +234,32 @@ def _grabbed(capture: Any, colour: bool) -> Images:
             yield image if colour else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     finally:
         capture.release()
+
+
+def read_live_videos(top: TomlTable) -> tuple[Path | None, tuple[LiveVideo, ...]]:
+    """The calibration file and the cameras; InputError where a field does not fit."""
+    keys = ("device", "file", "url", "camera", "offset")
+    file, tables = read_video_tables(top, keys, MAX_CAMERAS)
+    videos = []
+    for fields, name, camera in tables:
+        offset = fields.number("offset", 0.0, -MAX_DELAY_S, MAX_DELAY_S)
+        videos.append(LiveVideo(name, camera, _camera_source(fields), offset))
+    return file, tuple(videos)
+
+
+def _camera_source(fields: TomlTable) -> int | Path | str:
+    """A device's number, a file, or the address of a stream."""
+    stated = [key for key in ("device", "file", "url") if key in fields]
+    if len(stated) != 1:
+        found = " and ".join(stated) or "none"
+        raise fields.error("", f"found {found}, expected one of device, file, url")
+    if stated == ["device"]:
+        return fields.integer("device", 0, MAX_DEVICE)
+    if stated == ["file"]:
+        return fields.file("file")
+    url = fields.text("url")
+    if not _URL.fullmatch(url):
+        raise fields.error(
+            "url", f"found {short_repr(url)}, expected an address such as rtsp://..."
+        )
+    return url

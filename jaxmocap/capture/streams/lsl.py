@@ -3,23 +3,24 @@
 INPUTS: the name of a stream whose channels are labelled ``Name.x``, ``Name.y``, ``Name.z``, in
 metres unless a channel's unit says millimetres, and after them, where a marker has an
 orientation, ``Name.qx``, ``Name.qy``, ``Name.qz``, ``Name.qw``, a quaternion from its axes to the
-stream's. OUTPUTS: samples, as ``MarkerSocket`` gives them.
+stream's. OUTPUTS: samples.
 
 pylsl is loaded when a stream is asked for; it is the extra ``lsl``.
 """
 
 import math
-from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from time import monotonic
 from typing import Any, NamedTuple
 
-from jaxmocap.capture.streams.listener import Listener
 from jaxmocap.capture.streams.osc import MAX_DISTANCE_M, MarkerMessage, unit_quaternion
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
+from jaxmocap.capture.streams.source import MarkerSource, SourceTable
 from jaxmocap.capture.streams.stream_clock import StreamClock
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_repr
+from jaxmocap.formats.files.toml import TomlTable
 
 # A stream that is not there is asked for again and again, for so many seconds at a time.
 RESOLVE_TIMEOUT_S = 1.0
@@ -29,6 +30,7 @@ PULL_TIMEOUT_S = 0.2
 MAX_CHANNELS = 4096
 # or longer labels and units.
 MAX_LABEL_CHARACTERS = 200
+MAX_STREAM_CHARACTERS = 200
 METRES_PER_UNIT = {"": 1.0, "m": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "millimeters": 1e-3}
 POSITION_SUFFIXES = (".x", ".y", ".z")
 QUATERNION_SUFFIXES = (".qx", ".qy", ".qz", ".qw")
@@ -48,26 +50,17 @@ class MarkerChannels(NamedTuple):
     has_orientation: bool
 
 
-class MarkerStream(Listener):
-    """Listens to a stream.
+class MarkerStream(MarkerSource):
+    """Listens to a stream; LSL itself decides who may send.
 
     Attributes:
-        ignored: why -> how many samples: "absurd" (a place that no room has).
-        packets: samples that came in.
-        last_arrival: when a marker came in last, ``monotonic`` seconds; None before.
         clock: the sender's.
-        refused_hosts: none; LSL itself decides who may send.
-        address: what is listened to.
-        problem: why the stream cannot be used, or None.
     """
 
-    def __init__(self, name: str, assembler: SampleAssembler, now: Callable[[], float] = monotonic):
-        """Prepare.
-
-        Args:
-            name: of the stream.
-            assembler: takes the markers.
-            now: seconds.
+    def __init__(
+        self, table: "LslTable", assembler: SampleAssembler, now: Callable[[], float] = monotonic
+    ):
+        """Prepare; the assembler takes the markers, and the clock has seconds.
 
         Raises:
             InputError: pylsl is not installed.
@@ -77,15 +70,12 @@ class MarkerStream(Listener):
         except (ImportError, RuntimeError):
             problem = "pylsl is missing: pip install 'jaxmocap[lsl]'"
             raise InputError("[lsl]", problem) from None
-        super().__init__("markers", RESOLVE_TIMEOUT_S + 1.0)
+        super().__init__(f"the LSL stream {short_repr(table.stream)}", RESOLVE_TIMEOUT_S + 1.0)
         self._lsl: Any = pylsl
         self._numeric = {pylsl.cf_float32, pylsl.cf_double64, pylsl.cf_int64}
         self._numeric |= {pylsl.cf_int32, pylsl.cf_int16, pylsl.cf_int8}
-        self.ignored: Counter[str] = Counter()
-        self.packets, self.last_arrival, self.problem = 0, None, None
-        self.clock, self.address = StreamClock(), f"the LSL stream {short_repr(name)}"
-        self.refused_hosts: set[str] = set()
-        self._name, self._assembler, self._now = name, assembler, now
+        self.clock = StreamClock()
+        self._name, self._assembler, self._now = table.stream, assembler, now
 
     @property
     def clock_jumps(self) -> int:
@@ -163,3 +153,20 @@ class MarkerStream(Listener):
             expected = "expected channels Name.x, Name.y, Name.z in m or mm"
             self.problem = f"{expected}, found {found_labels}"
         return channels_of
+
+
+@dataclass(frozen=True)
+class LslTable(SourceTable):
+    """``[lsl]``: the name of a stream."""
+
+    stream: str
+    kind, keys = MarkerStream, ("stream",)
+
+    @classmethod
+    def read(cls, fields: TomlTable, markers: Collection[str]) -> "LslTable":
+        """Read it; a query has the name in quotes."""
+        name = fields.text("stream")
+        if not name.isprintable() or "'" in name or len(name) > MAX_STREAM_CHARACTERS:
+            expected = f"at most {MAX_STREAM_CHARACTERS} printable characters and no '"
+            raise fields.error("stream", f"found {short_repr(name)}, expected {expected}")
+        return cls(name)

@@ -1,22 +1,32 @@
 """A socket that listens: OSC packets to marker samples, in a thread of its own.
 
-INPUTS: an address, whatever is sent there, by whomever; the networks that may send.
+INPUTS: ``[osc]`` of a live file; whatever is sent to its address, by whomever.
 OUTPUTS: samples; counts of what was ignored and why.
 """
 
 import select
 import socket
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from time import monotonic
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
-from jaxmocap.capture.streams.listener import Listener
 from jaxmocap.capture.streams.osc import BadPacketError, parse_packet
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.senders import PacketSender, PacketSenders, TokenBucket, fair_shares
-from jaxmocap.formats.files.addresses import LOOPBACK, Address, Network, resolve_address
+from jaxmocap.capture.streams.source import MarkerSource, SourceTable
+from jaxmocap.formats.files.addresses import (
+    LOOPBACK,
+    Address,
+    Network,
+    read_address,
+    read_allowed_networks,
+    resolve_address,
+)
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.short_repr import comma_list, short_repr
+from jaxmocap.formats.files.toml import TomlTable
+from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
 
 # Packets a second that are read; older ones beyond are dropped.
 MAX_PACKETS_HZ = 4000
@@ -24,6 +34,10 @@ MAX_PACKETS_HZ = 4000
 MAX_BURST = 400
 # Larger than what UDP carries.
 MAX_DATAGRAM_BYTES = 65536
+# The port that VMC's senders use.
+DEFAULT_LISTEN = Address(port=39540)
+# What VMC's senders and VRChat's call a headset.
+HEADSETS = {"Hmd", "head"}
 
 
 class Datagram(NamedTuple):
@@ -42,59 +56,41 @@ class Datagram(NamedTuple):
     port: int
 
 
-class MarkerSocket(Listener):
+class MarkerSocket(MarkerSource):
     """Listens for markers.
 
+    What is ignored is "malformed", "absurd" (no number, or a place that no room has), "flood" (more
+    than can be read), "foreign" (nothing about markers), "stranger" (from a host that may not
+    send), or "scaled" (see ``osc.Packet``).
+
     Attributes:
-        ignored: why -> how many packets, the whole of them or messages in them: "malformed",
-            "absurd" (no number, or a place that no room has), "flood" (more than can be read),
-            "foreign" (nothing about markers), "stranger" (from a host that may not send).
-        packets: that came in.
-        last_arrival: when a marker came in last, ``monotonic`` seconds; None before.
         senders: who sends, and their clocks.
-        problem: None; nothing keeps a socket from being used once it is there.
     """
 
-    problem: str | None = None
+    hints: ClassVar = {
+        "scaled": "; devices come as .../Pos without .../Pos/Local: leave out 'raw' in [osc]"
+    }
+    who_may_send = "[osc] from = [...] lists who may send"
 
     def __init__(
-        self,
-        address: Address,
-        assembler: SampleAssembler,
-        raw: bool = False,
-        now: Callable[[], float] = monotonic,
-        allowed: Sequence[Network] = LOOPBACK,
+        self, table: "OscTable", assembler: SampleAssembler, now: Callable[[], float] = monotonic
     ):
-        """Open the socket.
-
-        Args:
-            address: where to listen; port 0 takes a free one.
-            assembler: takes the markers.
-            raw: see ``osc.parse_packet``.
-            now: seconds.
-            allowed: networks that may send.
+        """Open the socket; the assembler takes the markers, and the clock has seconds.
 
         Raises:
             InputError: the address cannot be had.
         """
-        super().__init__("markers", 1.0)
-        self.ignored: Counter[str] = Counter()
-        self.packets, self.last_arrival = 0, None
-        self.senders = PacketSenders(allowed)
-        self._assembler, self._raw, self._now = assembler, raw, now
+        self._socket = _bound_socket(table.listen)
+        super().__init__(Address(table.listen.host, self._socket.getsockname()[1]), 1.0)
+        self.senders = PacketSenders(table.allowed)
+        self.refused_hosts = self.senders.refused_hosts
+        self._assembler, self._raw, self._now = assembler, table.raw, now
         self._bucket = TokenBucket(MAX_PACKETS_HZ, MAX_BURST, now())
-        self._socket = _bound_socket(address)
-        self.address = Address(address.host, self._socket.getsockname()[1])
 
     @property
     def clock_jumps(self) -> int:
         """How often a sender's clock was set."""
         return self.senders.clock_jumps
-
-    @property
-    def refused_hosts(self) -> set[str]:
-        """Hosts that sent and may not, the first of them."""
-        return self.senders.refused_hosts
 
     def packets_by_sender(self) -> dict[str, int]:
         """Sender -> packets that came in from there, of the present ones."""
@@ -191,3 +187,37 @@ def _bound_socket(address: Address) -> socket.socket:
         raise InputError(str(address), f"cannot listen there ({error.strerror})") from None
     bound.setblocking(False)
     return bound
+
+
+@dataclass(frozen=True)
+class OscTable(SourceTable):
+    """``[osc]``.
+
+    Attributes:
+        listen: where it comes in.
+        allowed: networks whose packets count; what other hosts send is counted and ignored.
+        raw: see ``osc.parse_packet``.
+    """
+
+    kind, keys = MarkerSocket, ("listen", "from", "names", "raw")
+    R_world_source = R_WORLD_UNITY
+    listen: Address = DEFAULT_LISTEN
+    allowed: tuple[Network, ...] = LOOPBACK
+    aliases: Mapping[str, str] = field(default_factory=dict)
+    raw: bool = False
+
+    @classmethod
+    def read(cls, fields: TomlTable, markers: Collection[str]) -> "OscTable":
+        """Read it."""
+        names = TomlTable(fields.path, "[osc.names]", fields.entries.get("names", {}))
+        for sent in names.entries:
+            if (marker := names.text(sent)) not in markers:
+                found = f"no marker {short_repr(marker)} in [markers.on]"
+                raise names.error(sent, f"{found}, found {comma_list(markers)}")
+        raw, listen = fields.flag("raw"), read_address(fields, "listen", cls.listen)
+        return cls(listen, read_allowed_networks(fields, listen), names.entries, raw)
+
+    @property
+    def headsets(self) -> set[str]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Markers that are a headset."""
+        return HEADSETS | {marker for sent, marker in self.aliases.items() if sent in HEADSETS}

@@ -14,6 +14,8 @@ from jaxmocap.formats.files.errors import InputError
 
 MEDIAPIPE = "mediapipe"
 FOLDER = "keypoints"
+# Seconds that a frame may take.
+MAX_TIMEOUT_S = 86400
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
@@ -29,6 +31,12 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "--python",
         metavar="FILE",
         help="for mediapipe: the Python of an environment that has it, such as mp/bin/python",
+    )
+    add(
+        "--detector-timeout",
+        metavar="S",
+        type=float,
+        help="seconds that mediapipe may take for a frame; default: two minutes",
     )
     add("--out", metavar="DIR", help=f"default: {FOLDER} beside the recording")
     add("--write", action="store_true", help="put the lines into the recording's file")
@@ -61,12 +69,16 @@ def _run(options: argparse.Namespace) -> int:
 
 def _detector(options: argparse.Namespace):
     if options.detector == MEDIAPIPE:
-        from jaxmocap.pipelines.keypoints.by_mediapipe import RECIPE, mediapipe_detector
+        from jaxmocap.pipelines.keypoints.by_mediapipe import RECIPE, TIMEOUT_S, mediapipe_detector
 
         if options.python is None:
             problem = f"found no --python, expected an environment's; {RECIPE} makes one"
             raise InputError("--detector mediapipe", problem)
-        return mediapipe_detector(options.python)
+        timeout_s = TIMEOUT_S if options.detector_timeout is None else options.detector_timeout
+        if not 0 < timeout_s <= MAX_TIMEOUT_S:
+            problem = f"found {timeout_s:g}, expected seconds, up to {MAX_TIMEOUT_S}"
+            raise InputError("--detector-timeout", problem)
+        return mediapipe_detector(options.python, timeout_s)
     if not options.detector.endswith(".onnx"):
         expected = f"expected {MEDIAPIPE} or an .onnx file"
         raise InputError("--detector", f"found {options.detector!r}, {expected}")

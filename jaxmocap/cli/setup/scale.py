@@ -24,7 +24,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "--height",
         metavar="M",
         type=positive_number,
-        help="metres; proportions are Winter's, and with --recording where its lengths start from",
+        help="metres; lengths follow from it, and with --recording start from there",
     )
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--static", metavar="FILE", help="markers of the person standing upright")

@@ -8,7 +8,7 @@ import argparse
 
 from jaxmocap.cli.command import Command
 from jaxmocap.cli.option_types import positive_number, positive_whole_number
-from jaxmocap.cli.recording_options import add_refine
+from jaxmocap.cli.recording_options import add_settings, settings_of
 from jaxmocap.cli.reporting import exit_code, report
 
 
@@ -33,7 +33,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         type=positive_number,
         help="a recording that takes longer fails; default: as long as it takes",
     )
-    add_refine(parser, "see 'track'")
+    add_settings(parser)
     parser.add_argument(
         "--causal",
         dest="mode",
@@ -50,7 +50,7 @@ def _run(options: argparse.Namespace) -> int:
     batch = track_corpus(
         options.corpus,
         options.out,
-        TrackingOptions(options.refine, options.evidence, options.mode),
+        TrackingOptions(settings_of(options), options.mode),
         scheduler=options.scheduler,
         workers=options.workers,
         timeout_s=options.job_timeout,

@@ -8,7 +8,7 @@ import argparse
 
 from jaxmocap.cli.command import Command
 from jaxmocap.cli.option_types import positive_number
-from jaxmocap.cli.recording_options import add_refine
+from jaxmocap.cli.recording_options import add_settings, settings_of
 from jaxmocap.cli.reporting import exit_code, report
 from jaxmocap.pipelines.signals import Terminated
 
@@ -37,7 +37,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         default=5.0,
         help="seconds until that pose; default: 5",
     )
-    add_refine(parser, "how video refines the markers' pose, see 'track'")
+    add_settings(parser)
     parser.add_argument(
         "--view", choices=("window", "web"), help="show it in rerun's viewer, or in a browser"
     )
@@ -49,14 +49,13 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.live.session import live_summary, run_live
-    from jaxmocap.pipelines.tracking.track import choose_settings
 
     keep_compiled()
     figures = run_live(
         options.setup,
         out=options.out,
         smooth=options.smooth,
-        settings=choose_settings(options.refine, options.evidence),
+        settings=settings_of(options, options.smooth),
         seconds=options.seconds,
         view=options.view,
         calibrate=options.calibrate,

@@ -8,19 +8,19 @@ import argparse
 
 from jaxmocap.cli.command import Command
 from jaxmocap.cli.option_types import add_up, positive_number
-from jaxmocap.cli.recording_options import add_cameras, add_refine, recording_of
+from jaxmocap.cli.recording_options import (
+    add_cameras,
+    add_settings,
+    recording_of,
+    settings_of,
+)
 from jaxmocap.cli.reporting import exit_code, report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", metavar="RECORDING.toml")
     parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
-    add_refine(
-        parser,
-        "what follows the search for the elbows in a video frame: each arm by a simplex, the whole "
-        "body by least squares, or nothing; or 'none': markers only. Smoothing over a whole "
-        "recording needs the search only",
-    )
+    add_settings(parser)
     mode = parser.add_mutually_exclusive_group()
     mode.add_argument(
         "--causal",
@@ -61,12 +61,11 @@ def _run(options: argparse.Namespace) -> int:
     from jaxmocap.outputs.report import MISFIT_M
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.summary import figures, misfit, summary
-    from jaxmocap.pipelines.tracking.track import choose_settings, track
+    from jaxmocap.pipelines.tracking.track import track
     from jaxmocap.pipelines.writing import MotionFormats, tracked_folder, write_outputs
 
     keep_compiled()
-    recording = recording_of(options)
-    settings = choose_settings(options.refine, options.evidence, options.paper)
+    settings, recording = settings_of(options), recording_of(options)
     mode = options.mode or ("nearest" if options.paper else "own")
     formats = MotionFormats(options.up or "z", options.names)
     # Whether the folder can be written to, before any work.

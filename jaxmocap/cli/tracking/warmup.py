@@ -7,7 +7,7 @@ they took.
 import argparse
 
 from jaxmocap.cli.command import Command
-from jaxmocap.cli.recording_options import add_refine
+from jaxmocap.cli.recording_options import add_settings, settings_of
 from jaxmocap.cli.reporting import report
 
 
@@ -19,16 +19,15 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         help="a recording, for 'track', or a live file, for 'live': whose markers and cameras; "
         "default: the demo's recording",
     )
-    add_refine(parser, "see 'track'")
+    add_settings(parser)
 
 
 def _run(options: argparse.Namespace) -> None:
     from jaxmocap.formats.recordings.recording import Recording
     from jaxmocap.pipelines import warmup
-    from jaxmocap.pipelines.tracking.track import choose_settings
 
     subject = warmup.load_or_standing(options.recording)
-    settings = choose_settings(options.refine, options.evidence)
+    settings = settings_of(options)
     if isinstance(subject, Recording):
         compilations = warmup.warm_up(subject, settings)
     else:

@@ -1,5 +1,4 @@
-"""How far drawn limbs lie from an image's edges: by their outlines, or by the area they cover.
+"""How far outlines of drawn limbs lie from an image's edges.
 
-Begin with ``traced``, the default; ``coverage`` is the first paper's sum over the filled raster.
-The term that uses either is ``evidence.edges``.
+Begin with ``traced``; the term that uses it is ``evidence.edges``.
 """

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxmocap.formats.armatures.armature import MAX_DEPTH, Armature, BeyondFormatError
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.files.writing import write_lines
 from jaxmocap.formats.time_series.tables import (
     METRES_PER_UNIT,
     SHORTEST_STEP_S,
@@ -54,10 +54,7 @@ def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
     order: list[int] = []
     lines = ["HIERARCHY", *_joint_lines(path, armature, tips, scale, order)]
     lines += ["MOTION", f"Frames: {len(armature.times)}", f"Frame Time: {1 / rate:.10f}"]
-    rows = _rows(armature, order, scale)
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
-        file.writelines(f"{line}\n" for line in lines)
-        file.writelines(f"{row}\n" for row in rows)
+    write_lines(path, lines, _rows(armature, order, scale))
 
 
 def _is_still(armature: Armature, joint: int) -> bool:

@@ -9,7 +9,7 @@ board lay on the ground, Z up. Else the world is the first camera's frame, whose
 far as that camera is level. world_position and world_orientation repeat translation and rotation.
 """
 
-from jaxmocap.formats.calibrations.shared_layout import is_camera, read_sections
+from jaxmocap.formats.calibrations.shared_layout import is_camera, sections_of
 from jaxmocap.formats.calibrations.source import Source, SourceCalibration
 from jaxmocap.formats.cameras.calibration import METADATA_SECTION
 from jaxmocap.formats.files.toml import TomlTable
@@ -19,35 +19,26 @@ _METADATA = {"charuco_square_size", "charuco_board_object", "path_to_recorded_vi
 _SQUARE = "charuco_square_size"
 
 
-def recognises(source: Source) -> bool:
-    """Is it a .toml file with FreeMoCap's own keys?"""
-    tables = source.toml or {}
-    metadata = tables.get(METADATA_SECTION)
-    is_ours = isinstance(metadata, dict) and bool(_METADATA & set(metadata))
-    cameras = [table for table in tables.values() if is_camera(table)]
-    return bool(cameras) and (is_ours or any("world_position" in each for each in cameras))
-
-
-def read(source: Source) -> SourceCalibration:
-    """All cameras; millimetres, unless a user states otherwise.
-
-    Raises:
-        InputError: a field that is missing or does not fit.
-    """
-    assert source.toml is not None
-    metadata = TomlTable(source.path, "[metadata]", source.toml.get(METADATA_SECTION, {}))
+def read(source: Source) -> SourceCalibration | None:
+    """All cameras; millimetres, unless a user states otherwise."""
+    metadata = source.toml.get(METADATA_SECTION)
+    is_theirs = isinstance(metadata, dict) and bool(_METADATA & set(metadata))
+    cameras = [table for table in source.toml.values() if is_camera(table)]
+    if not cameras or not (is_theirs or any("world_position" in each for each in cameras)):
+        return None
+    about = TomlTable(source.path, "[metadata]", {} if metadata is None else metadata)
     notes = []
-    if _SQUARE in metadata and metadata.number(_SQUARE) == 1:
+    if _SQUARE in about and about.number(_SQUARE) == 1:
         notes.append(
             f"warning: {_SQUARE} is 1, FreeMoCap's sign for a size that was not entered "
             "(--unit states the unit of a square's side)"
         )
-    on_ground = metadata.entries.get("groundplane_calibration") is True
+    on_ground = about.entries.get("groundplane_calibration") is True
     return SourceCalibration(
-        read_sections(source, source.toml, "millimetres"),
+        sections_of(source, source.toml),
         "mm",
         "z" if on_ground else "minus-y",
         states_unit=False,
         assumed_up="" if on_ground else "the first camera, whose frame is the world, stands level",
-        notes=tuple(notes),
+        notes=notes,
     )

@@ -9,7 +9,6 @@ points down, or up where it is upside down, which OpenCap decides by the first c
 (``isCheckerboardUpsideDown``). A board on the ground needs --source-up.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,59 +19,39 @@ from jaxmocap.formats.calibrations.plain_pickle import (
     MAX_PICKLE_BYTES,
     read_plain_pickle,
 )
-from jaxmocap.formats.calibrations.source import (
-    Source,
-    SourceCalibration,
-    SourceCamera,
-    camera_place,
-)
-from jaxmocap.formats.cameras.calibration import is_rotation
+from jaxmocap.formats.calibrations.source import Source, SourceCalibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.short_repr import short_name, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 
 FILE = "cameraIntrinsicsExtrinsics.pickle"
 MAX_CAMERAS = 100
+# Of a session, of a folder with nothing else, or of one camera's.
 _FOLDERS = (f"Videos/*/{FILE}", f"*/{FILE}", FILE, "*.pickle")
 _FIELDS = {"intrinsicMat": 9, "imageSize": 2, "rotation": 9, "translation": 3}
 _MOST_COEFFICIENTS = 14
 
 
-def recognises(source: Source) -> bool:
-    """Is it a pickle with OpenCap's fields, or a folder of such?"""
-    if source.is_folder:
-        return bool(_files(source.path))
-    return source.pickled is not None
-
-
-def _files(folder: Path) -> list[Path]:
-    """The cameras' files of a session, or of a folder with nothing else."""
-    for pattern in _FOLDERS:
-        if found := sorted(folder.glob(pattern)):
-            return found
-    return []
-
-
-def read(source: Source) -> SourceCalibration:
+def read(source: Source) -> SourceCalibration | None:
     """The cameras of a file or of a folder.
 
     Raises:
         InputError: anything in a pickle but plain values, a field that is missing or does not fit.
     """
-    if source.is_folder:
-        files = _files(source.path)
-        if len(files) > MAX_CAMERAS:
-            problem = f"found {len(files)} cameras, expected at most {MAX_CAMERAS}"
-            raise InputError(source.path, problem)
-        cameras = [_camera(path, _unpickled(path)) for path in files]
-    else:
+    files = next(filter(None, (sorted(source.path.glob(each)) for each in _FOLDERS)), [])
+    if len(files) > MAX_CAMERAS:
+        problem = f"found {len(files)} cameras, expected at most {MAX_CAMERAS}"
+        raise InputError(source.path, problem)
+    cameras = [_camera(path, _unpickled(path)) for path in files]
+    if source.pickled is not None:
         cameras = [_camera(source.path, source.pickled)]
-    upside_down = cameras[0].R_cam_source[1, 1] < 0
-    side = "upside down" if upside_down else "not upside down"
-    up = "y" if upside_down else "minus-y"
+    if not cameras:
+        return None
+    upside_down = cameras[0][1].entries["rotation"][1][1] < 0
+    side, up = ("upside down", "y") if upside_down else ("not upside down", "minus-y")
     return SourceCalibration(
-        tuple(cameras), "mm", up, assumed_up=f"the checkerboard stands on end, {side}"
+        cameras, "mm", up, assumed_up=f"the checkerboard stands on end, {side}"
     )
 
 
@@ -83,31 +62,25 @@ def _unpickled(path: Path) -> Any:
     return read_plain_pickle(path, content)
 
 
-def _camera(path: Path, table: Any) -> SourceCamera:
+def _camera(path: Path, table: Any) -> tuple[str, TomlTable]:
     name = path.parent.name if path.name == FILE else path.stem
     if not isinstance(table, dict):
         expected = f"expected a dict with {', '.join(_FIELDS)} and distortion"
         raise InputError(path, f"found {short_repr(table)}, {expected}")
-    fields = TomlTable(path, camera_place(name), _lists(table))
+    where = f"camera {short_name(name)}"
+    # Arrays as flat lists of numbers; whatever else there is as its description.
+    lists = {key: value.ravel().tolist() if isinstance(value, np.ndarray) else short_repr(value)
+             for key, value in table.items()}  # fmt: skip
+    fields = TomlTable(path, where, lists)
     flat = {key: fields.array(key, [(count,)], f"an array of {count} numbers")
             for key, count in _FIELDS.items()}  # fmt: skip
     counts = [(n,) for n in range(_MOST_COEFFICIENTS + 1)]
-    rotation = flat["rotation"].reshape(3, 3)
-    if not is_rotation(rotation):
-        raise fields.error("rotation", "found a 3 × 3 matrix that is not a rotation")
-    return SourceCamera(
-        name,
-        flat["intrinsicMat"].reshape(3, 3),
-        fields.array("distortion", counts, f"at most {_MOST_COEFFICIENTS} numbers"),
-        rotation,
-        flat["translation"],
-        flat["imageSize"][::-1],
-    )
-
-
-def _lists(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Arrays as flat lists of numbers; whatever else there is as its description."""
-    return {
-        key: value.ravel().tolist() if isinstance(value, np.ndarray) else short_repr(value)
-        for key, value in table.items()
+    distortions = fields.array("distortion", counts, f"at most {_MOST_COEFFICIENTS} numbers")
+    section = {
+        "size": flat["imageSize"][::-1].tolist(),
+        "matrix": flat["intrinsicMat"].reshape(3, 3).tolist(),
+        "distortions": (distortions if distortions[8:].any() else distortions[:8]).tolist(),
+        "rotation": flat["rotation"].reshape(3, 3).tolist(),
+        "translation": flat["translation"].tolist(),
     }
+    return name, TomlTable(path, where, section)

@@ -1,23 +1,21 @@
-"""What a calibration of another system holds, before its axes and unit become ours.
+"""What calibrations of all systems share: a file opened once, and the cameras that it holds.
 
-INPUTS: a file or a folder, opened once. OUTPUTS: its content by its kind; a record of its cameras.
+INPUTS: a file or a folder. OUTPUTS: its content by its kind; a record of its cameras.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
-import numpy as np
-
 from jaxmocap.formats.calibrations.plain_pickle import FIRST_BYTE, read_plain_pickle
-from jaxmocap.formats.calibrations.xml_text import is_xml, parse_xml
+from jaxmocap.formats.calibrations.xml_cameras import is_xml, parse_xml
 from jaxmocap.formats.cameras.opencv_yaml import read_entries
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.short_repr import short_name
-from jaxmocap.formats.files.toml import is_folder, read_toml
+from jaxmocap.formats.files.short_repr import comma_list
+from jaxmocap.formats.files.toml import TomlTable, is_folder, read_toml
 
 # A Motive file with the masks of a hundred cameras takes some ten megabytes.
 MAX_SOURCE_BYTES = 32 * 2**20
@@ -30,7 +28,7 @@ class Source:
 
     Attributes:
         path: of the file or folder.
-        xml: root element of an XML file.
+        xml: an element that holds the root of an XML file.
         toml: tables of a TOML file.
         yaml: entries of a file of OpenCV's YAML.
         pickled: what a pickle holds.
@@ -38,45 +36,22 @@ class Source:
 
     path: Path
     xml: Element | None = None
-    toml: Mapping[str, Any] | None = None
-    yaml: Mapping[str, Any] | None = None
+    toml: Mapping[str, Any] = field(default_factory=dict)
+    yaml: Mapping[str, Any] = field(default_factory=dict)
     pickled: Any = None
 
-    @property
-    def is_folder(self) -> bool:
-        """Whether it is a folder of files."""
-        return is_folder(self.path)
-
-
-@dataclass(frozen=True)
-class SourceCamera:
-    """One camera, its frame OpenCV's, its world the file's.
-
-    Attributes:
-        name: of the camera.
-        matrix: (3, 3) intrinsic matrix, pixels; the first pixel's centre is 0, 0.
-        distortions: OpenCV's k1 k2 p1 p2 k3 k4 k5 k6, or a fisheye's k1 k2 k3 k4.
-        R_cam_source: (3, 3) from the file's world to the camera.
-        t_cam_source: (3,) from the file's world to the camera, in the file's unit.
-        size: (2,) width and height in pixels; None where the file does not state it.
-        fisheye: whether it is one.
-    """
-
-    name: str
-    matrix: np.ndarray
-    distortions: np.ndarray
-    R_cam_source: np.ndarray
-    t_cam_source: np.ndarray
-    size: np.ndarray | None
-    fisheye: bool = False
+    def elements(self, tags: str) -> list[Element]:
+        """Elements of an XML file by the tags that lead to them from the root; else none."""
+        return [] if self.xml is None else self.xml.findall(tags)
 
 
 @dataclass(frozen=True)
 class SourceCalibration:
-    """All cameras of a calibration.
+    """All cameras of a calibration, in the file's own unit and axes.
 
     Attributes:
-        cameras: those that it places.
+        cameras: name and section of each: size (missing where the file does not state it), matrix,
+            distortions, fisheye, rotation and translation as in our own files.
         unit: of its lengths, a key of ``registry.METRES_PER_UNIT``.
         up: its axis that points up, a key of ``registry.R_WORLD_OF_SOURCE_UP``.
         states_unit: whether the unit is the system's own; else a user may state another.
@@ -84,12 +59,12 @@ class SourceCalibration:
         notes: sentences about what was left out or assumed.
     """
 
-    cameras: tuple[SourceCamera, ...]
+    cameras: Sequence[tuple[str, TomlTable]]
     unit: str
     up: str
     states_unit: bool = True
     assumed_up: str = ""
-    notes: tuple[str, ...] = ()
+    notes: Sequence[str] = ()
 
 
 def open_source(path: Path) -> Source:
@@ -110,16 +85,9 @@ def open_source(path: Path) -> Source:
     is_yaml = path.suffix.lower() in (".yml", ".yaml")
     if is_yaml or content.removeprefix(b"\xef\xbb\xbf").startswith(YAML_START):
         return Source(path, yaml=read_entries(path))
-    if path.suffix.lower() == ".toml":
-        return Source(path, toml=read_toml(path))
-    return Source(path)
+    return Source(path, toml=read_toml(path) if path.suffix.lower() == ".toml" else {})
 
 
-def from_position(R_cam_source: np.ndarray, position_source: np.ndarray) -> np.ndarray:
-    """The translation (3,), world to camera, of a camera at a position (3,)."""
-    return -R_cam_source @ position_source
-
-
-def camera_place(name: str) -> str:
-    """How messages name a camera."""
-    return f"camera {short_name(name)}"
+def left_out(why: str, names: Sequence[str]) -> list[str]:
+    """The sentence about cameras that are left out, where there are any."""
+    return [f"left out: {why}: {comma_list(names)}"] if names else []

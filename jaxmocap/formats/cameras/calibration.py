@@ -29,7 +29,7 @@ from jaxmocap.formats.files.toml import (
 )
 from jaxmocap.formats.files.writing import write_text
 from jaxmocap.formats.time_series.tables import FARTHEST_M
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, lens_problem
 from jaxmocap.geometry.lenses import BROWN_CONRADY, FISHEYE, LENSES
 from jaxmocap.geometry.rotations import log
 
@@ -37,12 +37,6 @@ from jaxmocap.geometry.rotations import log
 METADATA_SECTION = "metadata"
 # How far R Rᵀ may be from the identity: files print four digits or more.
 ORTHONORMAL_TOLERANCE = 1e-3
-# Pixels: of a picture's side; of a focal length (a telescope has some million).
-LARGEST_SIZE = 65_536
-SMALLEST_FOCAL = 1e-3
-LARGEST_FOCAL = 1e8
-# Of a real lens none is beyond some hundred.
-LARGEST_DISTORTION = 1e6
 # Radians of a Rodrigues vector, which need not be the shortest.
 LARGEST_ROTATION = 1e3
 _Section = TypeVar("_Section")
@@ -160,12 +154,15 @@ def _camera(fields: TomlTable, origin_world: np.ndarray) -> Camera:
     return Camera.create(size, lens.matrix, lens.distortions, R_cam_world, translation, lens.model)
 
 
-def read_place(fields: TomlTable, unit: str = "metres") -> tuple[np.ndarray, np.ndarray]:
+def read_place(
+    fields: TomlTable, unit: str = "metres", farthest: float = FARTHEST_M
+) -> tuple[np.ndarray, np.ndarray]:
     """Where a camera's section places it.
 
     Args:
         fields: of the section.
         unit: of its translation, for messages.
+        farthest: of the translation's numbers, in that unit.
 
     Returns:
         R_cam_world (3, 3), exactly a rotation, and the translation (3,), world to camera, as it is.
@@ -176,27 +173,25 @@ def read_place(fields: TomlTable, unit: str = "metres") -> tuple[np.ndarray, np.
     for key in ("rotation", "translation"):
         if key not in fields:
             raise fields.error("", f"{key!r} is missing (jaxmocap calibrate extrinsics finds it)")
-    translation = fields.array("translation", [(3,)], f"3 numbers in {unit}", FARTHEST_M)
+    translation = fields.array("translation", [(3,)], f"3 numbers in {unit}", farthest)
     return _rotation(fields), translation
 
 
 def read_lens(fields: TomlTable) -> Intrinsics:
     """The intrinsics in a camera's section; InputError where they are missing or do not fit."""
-    size = fields.array("size", [(2,)], "[width, height] in pixels", LARGEST_SIZE)
-    if (size < 1).any():
-        raise fields.error("size", f"found {size.tolist()}, expected two positive numbers")
-    fisheye = fields.entries.get("fisheye", False)
-    if not isinstance(fisheye, bool):
-        raise fields.error("fisheye", f"found {short_repr(fisheye)}, expected true or false")
+    size = fields.array("size", [(2,)], "[width, height] in pixels")
+    matrix = fields.array("matrix", [(3, 3)], "a 3 × 3 matrix")
+    fisheye = fields.flag("fisheye")
     names = LENSES[FISHEYE if fisheye else BROWN_CONRADY].coefficients
     expected = f"at most {len(names)} numbers ({' '.join(names)})"
     counts = [(n,) for n in range(len(names) + 1)]
-    distortions = (
-        fields.array("distortions", counts, expected, LARGEST_DISTORTION)
-        if "distortions" in fields
-        else np.zeros(0)
-    )
-    return Intrinsics(size, _matrix(fields), distortions, fisheye)
+    distortions = np.zeros(0)
+    if "distortions" in fields:
+        distortions = fields.array("distortions", counts, expected)
+    lens = Intrinsics(size, matrix, distortions, fisheye)
+    if problem := lens_problem(size, matrix, distortions, lens.model):
+        raise fields.error(*problem)
+    return lens
 
 
 def check_one_kind(top: TomlTable, cameras: Mapping[str, Camera]) -> None:
@@ -206,16 +201,6 @@ def check_one_kind(top: TomlTable, cameras: Mapping[str, Camera]) -> None:
     if fisheyes and others:
         problem = f"found fisheye lenses ({comma_list(fisheyes)}) beside ordinary ones"
         raise top.error("[[video]]", f"{problem} ({comma_list(others)}), expected one kind")
-
-
-def _matrix(fields: TomlTable) -> np.ndarray:
-    matrix = fields.array("matrix", [(3, 3)], "a 3 × 3 matrix", LARGEST_FOCAL)
-    if min(matrix[0, 0], matrix[1, 1]) < SMALLEST_FOCAL or not np.allclose(matrix[2], [0, 0, 1]):
-        raise fields.error(
-            "matrix",
-            f"found {matrix.tolist()}, expected positive focal lengths and a last row of 0 0 1",
-        )
-    return matrix
 
 
 def _rotation(fields: TomlTable) -> np.ndarray:
@@ -247,19 +232,22 @@ def write_calibration(path: str | Path, cameras: dict[str, Camera]) -> None:
     """
     sections = {}
     for name, camera in cameras.items():
-        distortion = np.asarray(camera.distortion, float)
-        # Four coefficients where that is all, as most readers expect them; a fisheye has four.
-        count = 4 if not distortion[4:].any() else 5 if not distortion[5:].any() else 8
         T_cam_world = np.asarray(camera.T_cam_world, float)
         sections[name] = {
             "size": np.asarray(camera.size, float),
             "matrix": np.asarray(camera.matrix, float),
-            "distortions": distortion[:count],
+            "distortions": shortest(np.asarray(camera.distortion, float)),
             "rotation": np.asarray(log(camera.T_cam_world[:3, :3]), float),
             "translation": T_cam_world[:3, 3],
             "fisheye": camera.lens == FISHEYE,
         }
     write_sections(path, sections)
+
+
+def shortest(distortions: np.ndarray) -> np.ndarray:
+    """The first four coefficients where the others are 0, as most readers expect, or five."""
+    count = 4 if not distortions[4:].any() else 5 if not distortions[5:].any() else 8
+    return distortions[:count]
 
 
 def write_sections(path: str | Path, sections: Mapping[str, Mapping[str, Any]]) -> None:

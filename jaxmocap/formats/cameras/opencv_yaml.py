@@ -6,6 +6,7 @@ OUTPUTS: the camera as a table of the TOML layout, by its name (``camera_name``,
 """
 
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from jaxmocap.formats.files.lines import read_lines
 YAML_SUFFIXES = (".yml", ".yaml")
 # Field of the TOML layout -> what it is called in such files.
 _NAMES = {
+    "size": ("image_width", "image_height"),
     "matrix": ("camera_matrix", "cameraMatrix", "Camera_Matrix"),
     "distortions": ("distortion_coefficients", "distCoeffs", "dist_coeffs"),
     "rotation": ("rvec", "R", "rotation"),
@@ -33,21 +35,34 @@ def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
     """
     path = Path(path)
     entries = read_entries(path)
-    table: dict[str, Any] = {"fisheye": _is_fisheye(entries)}
-    if "image_width" in entries and "image_height" in entries:
-        table["size"] = [
-            _number_or_text(entries["image_width"]),
-            _number_or_text(entries["image_height"]),
-        ]
-    for field, names in _NAMES.items():
-        for name in names:
-            if name in entries:
-                table[field] = matrix_of(path, name, entries[name], flat=field != "matrix")
-                break
+    table = {"fisheye": _is_fisheye(entries)} | camera_table(path, entries, _NAMES)
     if "matrix" not in table:
         raise InputError(path, "found no camera_matrix, expected a calibration in OpenCV's YAML")
     name = entries.get("camera_name", "")
     return {(name.strip("\"'") if isinstance(name, str) else "") or path.stem: table}
+
+
+def camera_table(
+    path: Path, entries: dict[str, Any], names: Mapping[str, Sequence[str]]
+) -> dict[str, Any]:
+    """The fields of a camera that a file has.
+
+    Args:
+        path: of the file, for messages.
+        entries: as ``read_entries`` has them.
+        names: field -> what the file calls it, the first that is there; of the size both sides'.
+
+    Raises:
+        InputError: a matrix that is not complete.
+    """
+    table = {}
+    for field, keys in names.items():
+        there = [key for key in keys if key in entries]
+        if field == "size" and there == list(keys):
+            table[field] = [_number_or_text(entries[key]) for key in keys]
+        elif field != "size" and there:
+            table[field] = _matrix(path, there[0], entries[there[0]], flat=field != "matrix")
+    return table
 
 
 def read_entries(path: Path) -> dict[str, Any]:
@@ -100,18 +115,8 @@ def _number_or_text(text: Any) -> Any:
         return text
 
 
-def matrix_of(path: Path, name: str, entry: Any, flat: bool) -> list:
-    """Numbers of a matrix: rows of them, or flat where it is a vector by its nature.
-
-    Args:
-        path: of the file, for messages.
-        name: of the entry, for messages.
-        entry: as ``read_entries`` has it.
-        flat: whether it is a vector where it has one row or one column.
-
-    Raises:
-        InputError: it is not a complete matrix.
-    """
+def _matrix(path: Path, name: str, entry: Any, flat: bool) -> list:
+    """Rows of numbers, or flat numbers where it is a vector by its nature."""
     fields = entry if isinstance(entry, dict) else {}
     text = fields.get("data", "").strip()
     try:

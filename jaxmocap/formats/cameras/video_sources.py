@@ -4,17 +4,16 @@ INPUTS: a recording's TOML file with [[video]] and [calibration].
 OUTPUTS: a VideoSource of each, with its camera.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxmocap.formats.cameras.calibration import camera_of, check_one_kind, read_sections
+from jaxmocap.formats.cameras.video_tables import read_video_tables
 from jaxmocap.formats.files.short_repr import short_repr
-from jaxmocap.formats.files.toml import TomlTable, same_file_name
+from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.formats.recordings.keypoint_files import LARGEST_FRAME_NUMBER
 from jaxmocap.formats.recordings.keypoint_models import MODELS
 from jaxmocap.formats.recordings.keypoints import Detections
@@ -65,47 +64,17 @@ def read_videos(top: TomlTable, origin_world: np.ndarray | None = None) -> tuple
         InputError: a field that is missing, unknown or does not fit, or two cameras whose files
             would be called the same.
     """
-    tables = top.entries.get("video", [])
-    if not isinstance(tables, list):
-        raise top.error("[video]", "found one table, expected [[video]] in double brackets")
-    if not tables:
-        return ()
-    if "calibration" not in top:
-        raise top.error("", "[calibration] is missing, which every [[video]] needs")
-    calibration = TomlTable(top.path, "[calibration]", top.entries["calibration"], ("file",))
-    file = calibration.file("file")
-    if len(tables) > MAX_VIDEOS:
-        raise top.error("[[video]]", f"found {len(tables)}, expected at most {MAX_VIDEOS}")
-    sections = read_sections(file)
-    cameras = partial(camera_of, file, sections, origin_world=origin_world)
-    videos = [_video(top.path, i, table, cameras) for i, table in enumerate(tables, 1)]
-    _check_names(top, [video.camera_name for video in videos])
-    check_one_kind(top, {video.camera_name: video.camera for video in videos})
-    return tuple(videos)
-
-
-def _check_names(top: TomlTable, names: list[str]) -> None:
-    """InputError for two cameras of one name: of each a video is drawn, which is called by it."""
-    earlier: dict[str, str] = {}
-    for i, name in enumerate(names, 1):
-        # Some file systems take large and small letters for the same.
-        if (same := same_file_name(name)) in earlier:
-            problem = f"found {short_repr(name)} beside {short_repr(earlier[same])}"
-            raise top.error(f"[[video]] number {i} camera", f"{problem}, expected another camera")
-        earlier[same] = name
-
-
-def _video(path: Path, number: int, table: Any, cameras: Callable[[str], Camera]) -> VideoSource:
     keys = ("file", "camera", "offset", "background", *_KEYPOINT_KEYS)
-    fields = TomlTable(path, f"[[video]] number {number}", table, keys)
-    name = fields.file_name("camera")
-    return VideoSource(
-        camera_name=name,
-        camera=cameras(name),
-        path=fields.file("file"),
-        offset=fields.number("offset", 0.0, -LATEST_S, LATEST_S),
-        background=fields.file("background") if "background" in fields else None,
-        **_keypoints(fields),
+    return tuple(
+        VideoSource(
+            camera_name=name,
+            camera=camera,
+            path=fields.file("file"),
+            offset=fields.number("offset", 0.0, -LATEST_S, LATEST_S),
+            background=fields.file("background") if "background" in fields else None,
+            **_keypoints(fields),
+        )
+        for fields, name, camera in read_video_tables(top, keys, MAX_VIDEOS, origin_world)[1]
     )
 
 

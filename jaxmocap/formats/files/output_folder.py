@@ -7,8 +7,8 @@
 
 INPUTS: the folder, the names that will be written, the files that are read. OUTPUTS: a hidden
 folder to write to; when all is complete it is moved into place at once, and what an earlier run of
-the kind wrote and this one did not is removed. A file that the list does not name, or that has
-changed since, is never touched.
+the kind wrote and this one did not is removed. A run may write several times. A file that the list
+does not name, or that has changed since, is never touched.
 """
 
 import hashlib
@@ -78,6 +78,7 @@ class OutputFolder:
                 names that no earlier run wrote.
         """
         self.path, self.kind, self._names = Path(directory), kind, tuple(names)
+        self._written: dict[str, ListedFile] = {}
         check_file_name(self.path)
         check_folder_writable(self.path)
         refuse_inputs(self.path, inputs)
@@ -157,7 +158,9 @@ class OutputFolder:
             listed = read_list(self.path)
         except InputError as error:
             raise OutputError(error.path, error.problem) from None
-        wrote = {name: ListedFile(self.kind, (_digest(path),)) for name, path in new.items()}
+        wrote = self._written | {
+            name: ListedFile(self.kind, (_digest(path),)) for name, path in new.items()
+        }
         ours = {
             name: entry
             for name, entry in listed.items()
@@ -168,10 +171,11 @@ class OutputFolder:
         for name, path in new.items():
             (self.path / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(path, self.path / name)
-        for name in set(ours) - set(new):
+        for name in set(ours) - set(wrote):
             if _is_unchanged(self.path / name, ours[name]):
                 (self.path / name).unlink()
         _write_list(self.path, others | wrote)
+        self._written = wrote
 
 
 @contextmanager
@@ -195,6 +199,20 @@ def refuse_inputs(folder: Path, inputs: Iterable[str | Path]) -> None:
             raise InputError(
                 folder, f"holds {each}, which is read; expected a folder of its own for outputs"
             )
+
+
+def refuse_outputs(path: str | Path) -> None:
+    """InputError where a file is a list of outputs, or in the list of one of its folders."""
+    real = Path(os.path.realpath(path))
+    if real.name == LIST_NAME:
+        raise InputError(path, "is the name of a list of outputs, expected another")
+    for folder in real.parents:
+        try:
+            listed = read_list(folder)
+        except (InputError, OSError):
+            continue
+        if real.relative_to(folder).as_posix() in listed:
+            raise InputError(path, f"is in the list {folder / LIST_NAME}, expected another file")
 
 
 def read_list(folder: Path) -> dict[str, ListedFile]:

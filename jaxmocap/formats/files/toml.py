@@ -126,6 +126,13 @@ class TomlTable:
             raise self.error(key, f"found {short_repr(name)}, {problem}")
         return name
 
+    def flag(self, key: str, default: bool = False) -> bool:
+        """True or false, or the default."""
+        value = self.entries.get(key, default)
+        if not isinstance(value, bool):
+            raise self.error(key, f"found {short_repr(value)}, expected true or false")
+        return value
+
     def number(
         self,
         key: str,

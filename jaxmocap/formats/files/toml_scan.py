@@ -3,12 +3,11 @@
 INPUTS: the text. OUTPUTS: what would keep a parser busy for ever or break it; where its statements
 begin.
 
-Python's parser takes a time that grows with the square of a key's parts, and calls itself for
-every level of a value.
+Python's parser takes a time that grows with the square of a key's parts (16 kB take seconds), and
+calls itself for every level of a value.
 """
 
 import re
-from collections.abc import Iterator
 
 from jaxmocap.formats.files.short_repr import short_repr
 
@@ -17,61 +16,52 @@ MAX_LEVELS = 32
 MAX_KEY_PARTS = 32
 MAX_WORD_CHARACTERS = 200
 
-_TOKEN = re.compile(
+# Texts, comments, and a text that does not end, where a parser stops.
+_QUOTED = re.compile(
     r"""
-    (?P<string> "{3}(?:[^"\\]++|\\.|"(?!""))*+"{3,5} | '{3}(?:[^']++|'(?!''))*+'{3,5}
-      | "(?:[^"\\\n]++|\\[^\n])*+" | '[^'\n]*+' )
-  | (?P<comment> \#[^\n]*+ )
-  | (?P<word> [^\s"'\#\[\]{},=.]++ )
-  | (?P<open> [\[{] )
-  | (?P<close> [\]}] )
-  | (?P<dot> \. )
-  | (?P<line> \n )
-  | (?P<blank> [^\S\n]++ )
-  # A text that does not end: there a parser stops.
-  | (?P<rest> ["'] .*+ )
-  | (?P<other> . )
+    "{3}(?:[^"\\]++|\\.|"(?!""))*+"{3,5} | '{3}(?:[^']++|'(?!''))*+'{3,5}
+    | "(?:[^"\\\n]++|\\[^\n])*+" | '[^'\n]*+' | \#[^\n]*+ | ["'] .*+
     """,
     re.VERBOSE | re.DOTALL,
 )
+_WORD = r"[^\s\[\]{},=.]"
+# From a word's beginning only.
+_LONG_WORD = re.compile(f"(?<!{_WORD}){_WORD}{{{MAX_WORD_CHARACTERS + 1},}}")
+_LONG_KEY = re.compile(rf"(?<!{_WORD})(?:{_WORD}++[^\S\n]*+\.[^\S\n]*+){{{MAX_KEY_PARTS}}}{_WORD}")
+_BRACKETS = re.compile(r"[\[{\]}\n]")
 
 
-def _tokens(text: str) -> Iterator[tuple[str, str, int]]:
-    """Kind, text and place of every token."""
-    for match in _TOKEN.finditer(text):
-        yield match.lastgroup or "other", match[0], match.start()
+def _bare(text: str) -> str:
+    """A text of the same length with a mark for what stands in quotes, and without comments."""
+    return _QUOTED.sub(lambda each: (" " if each[0][0] == "#" else "_").ljust(len(each[0])), text)
 
 
 def parsing_problem(text: str) -> str | None:
     """What is too deep or too long in a text, with its line; None where it may be parsed."""
-    levels, parts, after_dot = 0, 0, False
-    for kind, token, place in _tokens(text):
-        if kind == "blank":
-            continue
-        if kind == "word" and len(token) > MAX_WORD_CHARACTERS:
-            expected = f"expected at most {MAX_WORD_CHARACTERS} characters without quotes"
-            return f"{_line(text, place)}: found {short_repr(token)}, {expected}"
-        levels += (kind == "open") - (kind == "close")
+    bare, levels = _bare(text), 0
+    if match := _LONG_WORD.search(bare):
+        expected = f"expected at most {MAX_WORD_CHARACTERS} characters without quotes"
+        return f"{_line(text, match)}: found {short_repr(match[0])}, {expected}"
+    if match := _LONG_KEY.search(bare):
+        expected = f"expected at most {MAX_KEY_PARTS} parts between dots"
+        return f"{_line(text, match)}: nested too deeply, {expected}"
+    for match in _BRACKETS.finditer(bare):
+        levels += (match[0] in "[{") - (match[0] in "]}")
         if levels > MAX_LEVELS:
-            return f"{_line(text, place)}: nested too deeply, expected at most {MAX_LEVELS} levels"
-        if kind in ("word", "string"):
-            parts = parts + 1 if after_dot else 1
-        after_dot = kind == "dot"
-        if parts > MAX_KEY_PARTS:
-            expected = f"expected at most {MAX_KEY_PARTS} parts between dots"
-            return f"{_line(text, place)}: nested too deeply, {expected}"
+            expected = f"expected at most {MAX_LEVELS} levels"
+            return f"{_line(text, match)}: nested too deeply, {expected}"
     return None
 
 
-def _line(text: str, place: int) -> str:
-    return f"line {text.count(chr(10), 0, place) + 1}"
+def _line(text: str, match: re.Match) -> str:
+    return f"line {text.count(chr(10), 0, match.start()) + 1}"
 
 
 def statement_starts(text: str) -> list[int]:
     """Where the lines of a valid text begin that are not within a value of several lines."""
     levels, starts = 0, [0]
-    for kind, _, place in _tokens(text):
-        levels += (kind == "open") - (kind == "close")
-        if kind == "line" and levels == 0:
-            starts.append(place + 1)
+    for match in _BRACKETS.finditer(_bare(text)):
+        levels += (match[0] in "[{") - (match[0] in "]}")
+        if match[0] == "\n" and levels == 0:
+            starts.append(match.end())
     return starts

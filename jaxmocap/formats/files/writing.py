@@ -136,6 +136,16 @@ def write_text(path: str | Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
+def write_lines(path: str | Path, *parts: Iterable[str]) -> None:
+    """Write a text file of any length line by line, one part after the other.
+
+    Raises:
+        OutputError: see ``replacing``.
+    """
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+        file.writelines(f"{line}\n" for lines in parts for line in lines)
+
+
 def flush_to_disk(path: Path) -> None:
     """Wait until a file's content is on the disk: a full one may say so no earlier."""
     descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))

@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.body.skeleton import WINTER_LENGTHS, Skeleton
+from jaxmocap.body.model_files import proportions_of
+from jaxmocap.body.skeleton import JOINT_CENTRES, Skeleton
 from jaxmocap.formats.files.short_repr import comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 
@@ -134,7 +135,8 @@ def _entry(entry: dict[str, Any], factor: float) -> dict[str, Any]:
 def _size(skeleton: Skeleton) -> float:
     """How large a person is against the one of ``STATURE_M``, by trunk and legs."""
     bones = [*skeleton.tree.bones_in("trunk"), *skeleton.tree.bones_in("thigh", "shank", side="l")]
-    fractions = sum(WINTER_LENGTHS[part] for part in ("trunk", "thigh", "shank"))
+    table = proportions_of(JOINT_CENTRES)["lengths"]
+    fractions = sum(table[part] for part in ("trunk", "thigh", "shank"))
     return float(np.asarray(skeleton.lengths, float)[bones].sum()) / (fractions * STATURE_M)
 
 

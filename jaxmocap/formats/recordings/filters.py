@@ -6,9 +6,7 @@ OUTPUTS: Filters. What is not named is off.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
-from jaxmocap.formats.files.short_repr import short_repr
 from jaxmocap.formats.files.toml import TomlTable
 
 # Hz and seconds that filters may be given.
@@ -59,18 +57,11 @@ def read_filters(fields: TomlTable) -> Filters:
         InputError: a field of the wrong kind, or a length or frequency that is not positive.
     """
     return Filters(
-        hampel=_switch(fields, "hampel"),
+        hampel=fields.flag("hampel"),
         gaps=_positive(fields, "gaps") if "gaps" in fields else 0.0,
         butterworth=_positive(fields, "butterworth") if "butterworth" in fields else None,
         one_euro=_one_euro(fields) if "one_euro" in fields else None,
     )
-
-
-def _switch(fields: TomlTable, key: str) -> bool:
-    value: Any = fields.entries.get(key, False)
-    if not isinstance(value, bool):
-        raise fields.error(key, f"found {short_repr(value)}, expected true or false")
-    return value
 
 
 def _positive(fields: TomlTable, key: str, default: float | None = None) -> float:

@@ -20,7 +20,8 @@ import numpy as np
 
 from jaxmocap.body.orientations import matrices
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.short_repr import short_name, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 
 PLACE_KEYS = ("bone", "at", "offset", "offset_in", "turn", "lever")
@@ -86,6 +87,15 @@ def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
             raise fields.error("lever", f"found {lever:g}, expected metres above 0 beside 'turn'")
         place = replace(place, lever=lever)
     return place
+
+
+def check_bones(path: Path, places: Sequence[MarkerPlace], skeleton: Skeleton) -> None:
+    """InputError for a place on a bone that the skeleton does not have."""
+    bones = skeleton.tree.bones
+    for place in places:
+        if place.bone not in bones:
+            problem = f"unknown bone {short_repr(place.bone)}, expected one of {', '.join(bones)}"
+            raise InputError(path, f"[markers.on] {short_name(place.name)}: {problem}")
 
 
 def _quaternion(fields: TomlTable) -> tuple[float, float, float, float]:

@@ -25,6 +25,7 @@ from jaxmocap.formats.recordings.marker_places import (
     MarkerPlace,
     bone_point_positions,
     bone_points,
+    check_bones,
     need_wrists,
 )
 from jaxmocap.formats.recordings.rigid_bodies import with_rigid_sets
@@ -151,6 +152,12 @@ def load_recording(path: str | Path) -> Recording:
         for place, samples in zip(places, is_present.T, strict=True)
         if not samples.any()
     )
+    warnings += tuple(
+        f"{path}: marker {place.name!r} is at exactly 0, 0, 0 in {markers.at_zero[place.name]} of "
+        f"{len(markers.times)} samples, which are taken as missing"
+        for place in places
+        if place.name in markers.at_zero
+    )
     positions_world, points = _bone_points(path, skeleton, places, markers)
     recording = Recording(
         skeleton,
@@ -165,7 +172,7 @@ def load_recording(path: str | Path) -> Recording:
         markers.rate,
         filters,
         marker_set=placed.marker_set,
-        fit=_fit(top),
+        fit=TomlTable(path, "[markers]", top.entries["markers"]).flag("fit", True),
     )
     return _at_local_origin(top, recording)
 
@@ -203,14 +210,8 @@ def load_markers(path: str | Path) -> tuple[Markers, tuple[MarkerPlace, ...]]:
     keys = ("markers", "video", "calibration", "subject")
     top, skeleton = TomlTable(path, "", read_toml(path), keys), Skeleton.human()
     markers, placed, _ = _read_placed_markers(top, skeleton)
-    places = placed.places
-    bones = skeleton.tree.bones
-    for place in places:
-        if place.bone not in bones:
-            raise InputError(
-                path, f"[markers.on] {place.name}: unknown bone {short_repr(place.bone)}"
-            )
-    return markers, places
+    check_bones(path, placed.places, skeleton)
+    return markers, placed.places
 
 
 def _read_placed_markers(
@@ -250,23 +251,19 @@ def _read_placed_markers(
     return markers, placed, filters
 
 
-def _fit(top: TomlTable) -> bool:
-    """``fit`` of [markers]."""
-    fields = TomlTable(top.path, "[markers]", top.entries["markers"])
-    fit = fields.entries.get("fit", True)
-    if not isinstance(fit, bool):
-        raise fields.error("fit", f"found {short_repr(fit)}, expected true or false")
-    return fit
-
-
 def _selected_markers(markers: Markers, names: tuple[str, ...]) -> Markers:
     """Those markers only, in that order."""
     index = {name: i for i, name in enumerate(markers.names)}
     columns = [index[name] for name in names]
     orientations = None if markers.orientations is None else markers.orientations[:, columns]
     positions = markers.positions[:, columns]
-    return Markers(
-        markers.times.copy(), names, positions, rate=markers.rate, orientations=orientations
+    return replace(
+        markers,
+        times=markers.times.copy(),
+        names=names,
+        positions=positions,
+        residuals=None,
+        orientations=orientations,
     )
 
 
@@ -274,14 +271,11 @@ def _bone_points(
     path: Path, skeleton: Skeleton, places: tuple[MarkerPlace, ...], markers: Markers
 ) -> tuple[np.ndarray, tuple[MarkerPlace, ...]]:
     """Points on bones (T, P, 3), world, metres, that the markers measure, and their places."""
-    bones = skeleton.tree.bones
+    check_bones(path, places, skeleton)
     # Of a long recording without any, a whole array would take as much as three of positions.
     orientations = np.broadcast_to(np.nan, (*markers.positions.shape, 3))
     orientations = orientations if markers.orientations is None else markers.orientations
     for i, place in enumerate(places):
-        if place.bone not in bones:
-            problem = f"unknown bone {short_repr(place.bone)}, expected one of {', '.join(bones)}"
-            raise InputError(path, f"[markers.on] {short_name(place.name)}: {problem}")
         if place.needs_orientation and not np.isfinite(orientations[:, i]).any():
             key = "offset_in = 'marker'" if place.orientation is None else "turn"
             problem = f"{key} needs the marker's orientation, which the file never states"

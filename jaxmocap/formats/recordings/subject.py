@@ -18,7 +18,13 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton, scale_to_height, with_wrists
+from jaxmocap.body.skeleton import (
+    JOINT_CENTRES,
+    LANDMARKS,
+    Skeleton,
+    scale_to_height,
+    with_wrists,
+)
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr
@@ -26,7 +32,7 @@ from jaxmocap.formats.files.toml import TomlTable, read_toml, write_toml
 from jaxmocap.formats.time_series.axes import read_axes, to_world
 from jaxmocap.formats.time_series.markers import read_markers
 
-_HEIGHT_KEYS = ("height", "mass", "bones")
+_HEIGHT_KEYS = ("height", "mass", "proportions", "bones")
 _BONE_KEYS = ("length", "mass", "diameter", "direction")
 # Lengths that a bone may have, metres.
 LENGTH_RANGE_M = (0.01, 1.0)
@@ -71,16 +77,13 @@ def read_subject(path: Path, where: str, table: Any, wrists: bool = False) -> Sk
     Raises:
         InputError: a field that is missing, unknown or does not fit.
     """
-    keys = ("file", "height", *_STATIC_KEYS, "bones", "wrists")
+    keys = ("file", "height", *_STATIC_KEYS, "proportions", "bones", "wrists")
     fields = TomlTable(path, where, table, keys)
-    stated = fields.entries.get("wrists")
-    if stated is not None and not isinstance(stated, bool):
-        raise fields.error("wrists", f"found {short_repr(stated)}, expected true or false")
-    usual = wrists if stated is None else stated
+    usual = fields.flag("wrists", wrists)
     rest = {key: value for key, value in fields.entries.items() if key != "wrists"}
     if "file" in rest:
         skeleton = _by_file(TomlTable(path, where, rest), usual)
-        return with_wrists(skeleton) if stated else skeleton
+        return with_wrists(skeleton) if fields.flag("wrists") else skeleton
     skeleton = _by_height_or_static(TomlTable(path, where, rest))
     return with_wrists(skeleton) if usual else skeleton
 
@@ -124,10 +127,13 @@ def _by_height_or_static(fields: TomlTable) -> Skeleton:
 def _by_height(fields: TomlTable) -> Skeleton:
     height = fields.number("height")
     mass = fields.number("mass") if "mass" in fields else None
+    proportions = fields.text("proportions") if "proportions" in fields else JOINT_CENTRES
     try:
-        skeleton = Skeleton.human(height, mass)
+        skeleton = Skeleton.human(height, mass, proportions)
     except ValueError as error:
         raise fields.error("", str(error)) from None
+    except KeyError as error:
+        raise fields.error("proportions", error.args[0]) from None
     where = " ".join(filter(None, [fields.where, "bones"]))
     return _with_bones(skeleton, TomlTable(fields.path, where, fields.entries.get("bones", {})))
 

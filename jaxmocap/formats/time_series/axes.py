@@ -16,6 +16,8 @@ from jaxmocap.formats.time_series.tables import Markers
 Z_UP, Y_UP = "z", "y"
 # "y" is the cyclic permutation that OpenSim and Pose2Sim use: world = (z, x, y) of the file.
 R_WORLD_OF_UP = {Z_UP: np.eye(3), Y_UP: np.eye(3)[[2, 0, 1]]}
+# Unity's frame is left-handed: x right, y up, z forward. The matrix is a reflection.
+R_WORLD_UNITY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
 def read_axes(fields: TomlTable) -> np.ndarray:

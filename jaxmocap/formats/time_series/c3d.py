@@ -3,10 +3,10 @@
 INPUTS: a .c3d file, its unit in POINT:UNITS; or Markers.
 OUTPUTS: Markers in metres, in the file's own axes; or a .c3d file in millimetres.
 
-A point is missing where its residual is negative, a coordinate is not a number, or all three are
-exactly 0, as some writers have it. Times count from the capture's first frame: a trial cut out
-of it begins where its header says. Labels lose a prefix that all share (``Derrick:LFHD``).
-Analog channels, events and what else a C3D file may hold are not read.
+A point is missing where its residual is negative or a coordinate is not a number. Times count from
+the capture's first frame: a trial cut out of it begins where its header says. Labels lose a prefix
+that all share (``Derrick:LFHD``). Analog channels, events and what else a C3D file may hold are not
+read.
 """
 
 import json
@@ -15,6 +15,7 @@ import os
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,7 +46,7 @@ MAX_READ_S = 60
 # 840 MB.
 MAX_MEMORY_BYTES = 2**31
 _METRES_PER_MM = 1e-3
-# A point exactly at the origin would be a missing one, and is written this far from it.
+# The smallest distance and step of residuals that is written.
 _SMALLEST_MM = 1e-6
 _DAMAGED = "not a C3D file, or damaged or cut off within its parameters"
 # A file consists of blocks of this size.
@@ -102,12 +103,12 @@ def read_c3d(path: str | Path) -> Markers:
         raise InputError(path, f"POINT:RATE: {problem}")
     with np.errstate(over="ignore", invalid="ignore"):
         positions, residuals = file.points.transpose(2, 1, 0) * scale, file.residuals.T * scale
-    missing = (residuals < 0) | ~np.isfinite(positions).all(-1) | (positions == 0).all(-1)
-    positions[missing], residuals[missing] = np.nan, np.nan
+    positions[(residuals < 0) | ~np.isfinite(positions).all(-1)] = np.nan
     times = (file.first + np.arange(count)) / file.rate
     table = np.concatenate([times[:, None], positions.reshape(count, -1)], 1)
     markers = make_markers(path, table, [], _labels(file.labels), "POINT:LABELS")
-    return Markers(markers.times, markers.names, markers.positions, residuals)
+    residuals[np.isnan(markers.positions).any(-1)] = np.nan
+    return replace(markers, residuals=residuals)
 
 
 def _read(path: str | Path) -> _Content:
@@ -188,8 +189,7 @@ def _labels(names: list[str]) -> list[str]:
 def write_c3d(path: str | Path, markers: Markers) -> None:
     """Write a C3D file in millimetres, as 32-bit numbers, missing points with residual −1.
 
-    The first sample becomes the frame nearest to its time. A point exactly at the origin moves by
-    a nanometre, since zeros mean missing.
+    The first sample becomes the frame nearest to its time.
 
     Raises:
         InputError: times that are not evenly spaced or begin before 0, or more frames or longer
@@ -198,7 +198,9 @@ def write_c3d(path: str | Path, markers: Markers) -> None:
     """
     import ezc3d
 
-    times, table = stack_points(markers.times, markers.points(), "\r\n\0", path)
+    times, table = stack_points(
+        markers.times, markers.points(), "\r\n\0", path, _SMALLEST_MM * _METRES_PER_MM
+    )
     rate = even_rate(path, times)
     first = round(times[0] * rate)
     if not 0 <= first <= first + len(times) <= MAX_FRAMES:
@@ -210,7 +212,6 @@ def write_c3d(path: str | Path, markers: Markers) -> None:
         raise InputError(path, f"{excess}: C3D holds 255 markers, names of 127 bytes")
     positions = np.moveaxis(table.reshape(len(times), -1, 3), 2, 0).swapaxes(1, 2) / _METRES_PER_MM
     missing = np.asarray(np.isnan(positions).any(0))
-    positions = np.where((np.abs(positions) < _SMALLEST_MM).all(0), _SMALLEST_MM, positions)
     residuals, step = _residuals(markers, missing)
     file = ezc3d.c3d()
     group = file["parameters"]["POINT"]

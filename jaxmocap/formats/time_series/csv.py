@@ -19,7 +19,7 @@ from jaxmocap.body.orientations import matrices, quaternions
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import numbered_lines
 from jaxmocap.formats.files.short_repr import short_repr
-from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.files.writing import write_lines
 from jaxmocap.formats.time_series.tables import (
     MAX_VALUES,
     Markers,
@@ -123,9 +123,7 @@ def write_csv(
         if orientations and name in orientations:
             columns += [f"{name}.q{axis}" for axis in "wxyz"]
             parts.append(quaternions(orientations[name]))
-    csv.writer(header, lineterminator="\n").writerow(columns)
+    csv.writer(header, lineterminator="").writerow(columns)
     table = np.concatenate(parts, 1) if orientations else positions
     rows = zip(times, row_texts(table, ","), strict=True)
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(header.getvalue())
-        file.writelines(f"{time:.9f},{row}\n" for time, row in rows)
+    write_lines(path, [header.getvalue()], (f"{time:.9f},{row}" for time, row in rows))

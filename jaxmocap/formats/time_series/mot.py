@@ -25,7 +25,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import numbered_lines
 from jaxmocap.formats.files.short_repr import comma_list, short_name
-from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.files.writing import write_lines
 from jaxmocap.formats.time_series.isb import isb_angles
 from jaxmocap.formats.time_series.tables import (
     SampleLabels,
@@ -75,9 +75,7 @@ def write_table(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray]
     lines = [*head, "inDegrees=yes", "endheader", "\t".join(["time", *columns])]
     table = np.stack(list(columns.values()), 1)
     rows = zip(times, row_texts(table, "\t", decimals=8, nan="NaN"), strict=True)
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
-        file.writelines(f"{line}\n" for line in lines)
-        file.writelines(f"{time:.9f}\t{row}\n" for time, row in rows)
+    write_lines(path, lines, (f"{time:.9f}\t{row}" for time, row in rows))
     return list(_of_steps(times, {name: a for name, a in columns.items() if _is_angle(name)}))
 
 

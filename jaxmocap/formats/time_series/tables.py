@@ -7,8 +7,8 @@ OUTPUTS: Markers (seconds, metres); InputError with the line where something is 
 import math
 import unicodedata
 from array import array
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,8 @@ FARTHEST_M = 1e7
 LATEST_S = 1e11
 # Seconds between samples, in the median.
 SHORTEST_STEP_S = 1e-5
+# The last digit of what is written, metres.
+SMALLEST_M = 1e-6
 # Characters of a marker's or joint's name.
 MAX_NAME_CHARACTERS = 200
 # Units of length that marker files state.
@@ -48,6 +50,8 @@ class Markers:
             or None where it has no such field (only TRC has both).
         orientations: (T, M, 3, 3) rotations from each marker's own axes to the file's, NaN where
             missing; or None where no marker has any.
+        at_zero: marker -> how many positions the file has at exactly (0, 0, 0), which some
+            writers have for missing ones; without markers that have none.
     """
 
     times: np.ndarray
@@ -56,6 +60,7 @@ class Markers:
     residuals: np.ndarray | None = None
     rate: float | None = None
     orientations: np.ndarray | None = None
+    at_zero: Mapping[str, int] = field(default_factory=dict)
 
     def points(self) -> dict[str, np.ndarray]:
         """Name -> (T, 3) positions."""
@@ -167,9 +172,12 @@ def make_markers(
     check_times(path, table[:, 0], labels)
     positions = table[:, 1:].reshape(len(table), -1, 3)
     _check_positions(path, positions, names, labels)
-    # A marker of which one coordinate is missing is missing.
-    positions[np.isnan(positions).any(-1)] = np.nan
-    return Markers(table[:, 0], tuple(names), positions)
+    # A marker of which one coordinate is missing is missing; so is one at exactly 0.
+    is_zero = ~positions.any(-1)
+    positions[np.isnan(positions).any(-1) | is_zero] = np.nan
+    counts = zip(names, is_zero.sum(0).tolist(), strict=True)
+    at_zero = {name: count for name, count in counts if count}
+    return Markers(table[:, 0], tuple(names), positions, at_zero=at_zero)
 
 
 def check_names(path: str | Path, names: Sequence[str], place: str, kind: str = "marker") -> None:
@@ -287,8 +295,11 @@ def stack_points(
     points: dict[str, np.ndarray],
     forbidden: str,
     path: str | Path = "points to write",
+    smallest_m: float = SMALLEST_M,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times (T,) and coordinates (T, 3 M) to write, checked.
+
+    A point at the origin moves by the smallest distance written, since zeros mean missing.
 
     Raises:
         ValueError: shapes that do not fit, times that do not ascend, or a name that the format
@@ -308,4 +319,10 @@ def stack_points(
         raise InputError(path, "expected at least one marker and one sample to write")
     check_times(path, times, SampleLabels("sample"))
     check_names(path, tuple(points), "names to write")
-    return times, np.concatenate([np.asarray(p, float) for p in points.values()], axis=1)
+    table = np.empty((len(times), 3 * len(points)))
+    for i, positions in enumerate(points.values()):
+        columns = table[:, 3 * i : 3 * i + 3]
+        columns[:] = positions
+        is_zero = (np.abs(columns) <= smallest_m / 2).all(-1)
+        columns[is_zero, 0] = np.copysign(smallest_m, columns[is_zero, 0])
+    return times, table

@@ -13,7 +13,7 @@ import numpy as np
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import numbered_lines
 from jaxmocap.formats.files.short_repr import short_name, short_repr
-from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.files.writing import write_lines
 from jaxmocap.formats.time_series.tables import (
     METRES_PER_UNIT,
     Markers,
@@ -140,6 +140,4 @@ def write_trc(
         "",
     ]
     rows = zip(times, row_texts(positions, "\t"), strict=True)
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
-        file.writelines(f"{line}\n" for line in lines)
-        file.writelines(f"{i}\t{time:.9f}\t{row}\n" for i, (time, row) in enumerate(rows, 1))
+    write_lines(path, lines, (f"{i}\t{time:.9f}\t{row}" for i, (time, row) in enumerate(rows, 1)))

@@ -1,4 +1,5 @@
-"""The first paper's own inverse kinematics: selectively damped least squares.
+"""The first paper as printed: its inverse kinematics, its chamfer sum, its order of a frame.
 
-Begin with ``ik``: ``reach`` is algorithm 1.
+Begin with ``frame``. ``ik`` is algorithm 1 with selectively damped least squares, ``chamfer``
+equation (13) over soft rasterised cylinders.
 """

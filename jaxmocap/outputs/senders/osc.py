@@ -68,13 +68,14 @@ class DatagramSender:
         self._socket.setblocking(False)
         self.sent = self.failed = 0
 
-    def send(self, datagram: bytes) -> None:
-        """Send, or count a failure of the system; an address without a listener is none."""
-        try:
-            self._socket.sendto(datagram, self._address)
-            self.sent += 1
-        except OSError:
-            self.failed += 1
+    def send(self, datagrams: Sequence[bytes]) -> None:
+        """Send, or count failures of the system; an address without a listener is none."""
+        for datagram in datagrams:
+            try:
+                self._socket.sendto(datagram, self._address)
+                self.sent += 1
+            except OSError:
+                self.failed += 1
 
     def close(self) -> None:
         """Close the socket."""

@@ -16,7 +16,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.armatures.body_armature import armature_of, rest_orientations
 from jaxmocap.formats.armatures.joint_names import PELVIS
-from jaxmocap.formats.recordings.live import R_WORLD_UNITY
+from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
 
 
 class Joints(NamedTuple):

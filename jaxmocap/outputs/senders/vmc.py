@@ -8,20 +8,24 @@
 The last bundle has all but the bones, as VirtualMotionCapture sends them; see
 https://protocol.vmc.info/english.
 
-INPUTS: a Skeleton; poses. OUTPUTS: datagrams.
+INPUTS: ``[vmc]`` of a live file; poses in Unity's frame. OUTPUTS: datagrams.
 
 Rotations are from the T pose, in Unity's frame, as a VRM model's normalised bones have them; the
 hips' position is that of the tracked person, metres.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.armatures.joint_names import CONVENTIONS
+from jaxmocap.formats.files.addresses import Address
 from jaxmocap.outputs.senders.osc import Bundle
+from jaxmocap.outputs.senders.sender import Sender, SenderTable
 from jaxmocap.outputs.senders.unity import Joints, UnityBody
 
+# The port of its receivers.
+DEFAULT_SEND = Address(port=39539)
 # Values of /VMC/Ext/OK: the model is loaded.
 _LOADED = 1
 # It is calibrated.
@@ -34,19 +38,12 @@ BONES_IN_BUNDLE = 13
 _IDENTITY = [0.0] * 3 + [0.0, 0.0, 0.0, 1.0]
 
 
-class VMC:
-    """Makes bundles of one person's poses.
+class VMC(Sender):
+    """Makes bundles of one person's poses."""
 
-    Attributes:
-        body: in Unity's frame.
-        names: of the bones, as Unity calls them.
-    """
-
-    def __init__(self, skeleton: Skeleton):
+    def __init__(self, table: "VmcTable", body: UnityBody):
         """Build the bundles."""
-        self.body = UnityBody(skeleton)
-        self.names = tuple(_in_unity(joint) for joint in self.body.joints)
-        bones = [("/VMC/Ext/Bone/Pos", [name, *_IDENTITY]) for name in self.names]
+        bones = [("/VMC/Ext/Bone/Pos", [_in_unity(name), *_IDENTITY]) for name in body.joints]
         self._starts = range(0, len(bones), BONES_IN_BUNDLE)
         status = [
             ("/VMC/Ext/Root/Pos", ["root", *_IDENTITY]),
@@ -60,25 +57,24 @@ class VMC:
         lost = [_LOADED, _CALIBRATED, _MODE, 0]
         self._lost = Bundle([("/VMC/Ext/OK", lost), ("/VMC/Ext/T", [0.0])])
 
-    def frame(self, time: float, pose: Pose) -> tuple[list[bytes], Joints]:
-        """The bundles of a pose, and the pose's joints in their parents.
-
-        Args:
-            time: seconds since the run began.
-            pose: of the person.
-        """
-        local = self.body.local(pose)
+    def frame(self, time: float, local: Joints) -> list[bytes]:
+        """The bundles of a pose."""
         bones = np.hstack([local.positions, local.quaternions])
         parts: list[list] = [[bones[start : start + BONES_IN_BUNDLE]] for start in self._starts]
         parts[-1] += [np.array(_IDENTITY), time]
-        datagrams = [
-            bundle.filled(*part) for bundle, part in zip(self._tracked, parts, strict=True)
-        ]
-        return datagrams, local
+        return [bundle.filled(*part) for bundle, part in zip(self._tracked, parts, strict=True)]
 
-    def lost(self, time: float) -> bytes:
+    def lost(self, time: float) -> list[bytes]:
         """The bundle for a moment at which nobody is tracked."""
-        return self._lost.filled(time)
+        return [self._lost.filled(time)]
+
+
+@dataclass(frozen=True)
+class VmcTable(SenderTable):
+    """``[vmc]``."""
+
+    send: Address = DEFAULT_SEND
+    kind, title, is_default = VMC, "VMC", True
 
 
 def _in_unity(joint: str) -> str:

@@ -8,10 +8,10 @@ all of them, and why those that failed did.
 """
 
 import os
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import LIST_NAME, OutputFolder
 from jaxmocap.formats.recordings.recording import load_recording
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.batch.cluster import JobResult, cluster_client, results_as_completed
 from jaxmocap.pipelines.batch.corpus import (
     RECORD_FILE,
@@ -35,7 +37,7 @@ from jaxmocap.pipelines.batch.corpus import (
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.summary import frames_per_second
-from jaxmocap.pipelines.tracking.track import choose_settings, track
+from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.pipelines.writing import tracked_folder, write_tracked
 
 # What a batch writes besides the recordings' own folders.
@@ -46,8 +48,7 @@ TABLES = ("corpus.csv", "failures.json")
 class TrackingOptions:
     """How recordings are tracked: the options of ``track``."""
 
-    refine: Literal["simplex", "gradient", "search", "none"] = "simplex"
-    evidence: Literal["outline", "coverage"] | None = None
+    settings: Settings = field(default_factory=Settings)
     mode: Mode = "own"
 
 
@@ -222,7 +223,7 @@ def track_one(job: Job) -> Outcome:
     The outputs' folder appears complete or not at all.
     """
     try:
-        mark = fingerprint(job.recording, asdict(job.options))
+        mark = fingerprint(job.recording, plain(job.options))
         if earlier := read_record(job.folder, mark):
             return Outcome(replace(earlier, recording=job.name), from_earlier_run=True)
         return Outcome(_tracked(job, mark))
@@ -238,7 +239,7 @@ def _tracked(job: Job, mark: str) -> CorpusRow:
     keep_compiled()
     recording = load_recording(job.recording)
     folder = tracked_folder(job.folder, recording, [RECORD_FILE])
-    settings = choose_settings(job.options.refine, job.options.evidence)
+    settings = job.options.settings
     motion = track(recording, settings, mode=job.options.mode, progress=False)
     with folder.writing() as stage:
         write_tracked(motion, recording, stage, settings, progress=False)

@@ -8,6 +8,7 @@ INPUTS: the Python of an environment with ``mediapipe``; images. OUTPUTS: COCO's
 import json
 import subprocess
 import tempfile
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.recordings.keypoint_models import MODELS
 from jaxmocap.pipelines.keypoints.detect import Detect, Detector
 
 SCRIPT = Path(__file__).with_name("mediapipe_process.py")
@@ -22,23 +25,30 @@ SCRIPT = Path(__file__).with_name("mediapipe_process.py")
 RECIPE = "python3.11 -m venv mp && mp/bin/pip install mediapipe==0.10.21"
 # A line that the process writes once its model is there.
 READY = "ready"
+MODEL = "COCO_17"
+# It may take so long to start, and for each frame, seconds.
+TIMEOUT_S = 120.0
+# An answer has some two kilobytes.
+MAX_ANSWER_BYTES = 2**16
 
 
-def mediapipe_detector(python: str) -> Detector:
+def mediapipe_detector(python: str, timeout_s: float = TIMEOUT_S) -> Detector:
     """The detector of an environment's Python.
 
     Args:
         python: such as ``mp/bin/python``.
+        timeout_s: how long it may take to start, and for each frame.
     """
-    return Detector("COCO_17", lambda: _opened(python))
+    return Detector(MODEL, lambda: _opened(python, timeout_s))
 
 
 @contextmanager
-def _opened(python: str) -> Iterator[Detect]:
+def _opened(python: str, timeout_s: float) -> Iterator[Detect]:
     """A process for one video: it follows the person from frame to frame.
 
     Raises:
-        InputError: that Python does not start, has no ``mediapipe``, or its process ends.
+        InputError: that Python does not start, has no ``mediapipe``, takes too long, answers
+            something else than points, or its process ends.
     """
     with tempfile.TemporaryFile("w+") as errors:
         pipe = subprocess.PIPE
@@ -52,23 +62,63 @@ def _opened(python: str) -> Iterator[Detect]:
         with process:
             try:
                 assert process.stdin is not None and process.stdout is not None
-                if process.stdout.readline().decode(errors="replace").strip() != READY:
+                with _limited(python, process, timeout_s):
+                    line = process.stdout.readline(MAX_ANSWER_BYTES)
+                if line.decode(errors="replace").strip() != READY:
                     raise _ended(python, process, errors)
 
                 def detect(image: np.ndarray, _: np.ndarray) -> np.ndarray | None:
                     assert process.stdin is not None and process.stdout is not None
-                    try:
-                        process.stdin.write(np.array(image.shape[:2], "<u4").tobytes())
-                        process.stdin.write(np.ascontiguousarray(image).tobytes())
-                        process.stdin.flush()
-                        points = json.loads(process.stdout.readline())
-                    except (OSError, ValueError):
-                        raise _ended(python, process, errors) from None
-                    return np.array(points) if points else None
+                    with _limited(python, process, timeout_s):
+                        try:
+                            process.stdin.write(np.array(image.shape[:2], "<u4").tobytes())
+                            process.stdin.write(np.ascontiguousarray(image).tobytes())
+                            process.stdin.flush()
+                        except OSError:
+                            raise _ended(python, process, errors) from None
+                        line = process.stdout.readline(MAX_ANSWER_BYTES)
+                    if not line:
+                        raise _ended(python, process, errors)
+                    return _points(python, line)
 
                 yield detect
             finally:
                 process.kill()
+
+
+@contextmanager
+def _limited(python: str, process: "subprocess.Popen[bytes]", timeout_s: float) -> Iterator[None]:
+    """End a process that takes longer; InputError then, whatever was raised within."""
+    late = threading.Event()
+
+    def end() -> None:
+        late.set()
+        process.kill()
+
+    timer = threading.Timer(timeout_s, end)
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        if late.is_set():
+            problem = f"MediaPipe's pose detector gave no answer within {timeout_s:g} s"
+            raise InputError(python, f"{problem} (--detector-timeout)")
+
+
+def _points(python: str, line: bytes) -> np.ndarray | None:
+    """(K, 3) pixels and confidences in an answer; None where nobody is."""
+    expected = (len(MODELS[MODEL]), 3)
+    try:
+        points = np.array(json.loads(line), float)
+        if not points.size:
+            return None
+        if points.shape == expected and np.isfinite(points).all():
+            return points
+    except (ValueError, TypeError, RecursionError):
+        pass
+    problem = f"MediaPipe's pose detector answered {short_repr(line.decode(errors='replace'))}"
+    raise InputError(python, f"{problem}, expected {expected[0]} times [x, y, confidence]")
 
 
 def _ended(python: str, process: "subprocess.Popen[bytes]", errors) -> InputError:

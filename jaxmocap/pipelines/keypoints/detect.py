@@ -7,6 +7,7 @@ video; lines for the recording's file.
 """
 
 import json
+from codecs import BOM_UTF8
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -21,7 +22,8 @@ from jaxmocap.capture.video import FrameSource, open_video
 from jaxmocap.formats.cameras.toml_sections import replace_entries_of_each
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
-from jaxmocap.formats.files.writing import write_text
+from jaxmocap.formats.files.toml import read_toml_text
+from jaxmocap.formats.files.writing import write_bytes, write_text
 from jaxmocap.formats.recordings.keypoint_models import MODELS
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import Camera, depth, project
@@ -109,7 +111,7 @@ def detect_keypoints(
             found = sum(person is not None for person in people)
             name = f"{source.camera_name}.json"
             if found:
-                (stage / name).write_text(_text(people, detector.model), encoding="utf-8")
+                write_text(stage / name, _text(people, detector.model))
             file = out.path / name if found else None
             results.append(DetectedVideo(source.camera_name, file, len(people), found))
     return results
@@ -123,7 +125,9 @@ def _boxes(recording: Recording, camera: Camera, video: FrameSource) -> np.ndarr
     if not recording.places:
         return boxes
     # By markers alone: whatever key points there were before are not read.
-    motion = track(replace(recording, videos=()), Settings(refine="none"), progress=False)
+    motion = track(
+        replace(recording, videos=()), Settings(refine="none", smooth=False), progress=False
+    )
     points = np.stack([motion.joints()[name] for name in LANDMARKS], 1)
     nearest = np.abs(motion.times - video.times[:, None]).argmin(1)
     there = jnp.asarray(points[nearest])
@@ -167,7 +171,7 @@ def keypoint_entries(results: list[DetectedVideo], recording: Path) -> dict[str,
 
 
 def put_into(recording: Path, entries: dict[str, str], model: str) -> None:
-    """Write them into the recording's file; comments and all other keys stay.
+    """Write them into the recording's file; comments, line ends and all other keys stay.
 
     Where a video states whose points its key points are, or their first number, that changes too.
 
@@ -182,8 +186,10 @@ def put_into(recording: Path, entries: dict[str, str], model: str) -> None:
         kept = {key: value for key, value in stated.items() if key in video}
         return {} if entry is None else {"keypoints": entry, **kept}
 
+    before = recording.read_bytes()
     try:
-        text = replace_entries_of_each(recording.read_text("utf-8"), "video", keypoints)
+        text = replace_entries_of_each(read_toml_text(recording), "video", keypoints)
     except ValueError as error:
         raise InputError(recording, f"[[video]] {error}: put the lines in by hand") from None
-    write_text(recording, text)
+    text = text.replace("\n", "\r\n") if b"\r\n" in before else text
+    write_bytes(recording, text.encode("utf-8-sig" if before.startswith(BOM_UTF8) else "utf-8"))

@@ -26,8 +26,7 @@ from jaxmocap.formats.files.errors import InputError, OutputError
 from jaxmocap.formats.files.short_repr import comma_list
 from jaxmocap.formats.files.toml import toml_value
 from jaxmocap.formats.files.writing import write_text
-from jaxmocap.formats.recordings.live import LiveSetup
-from jaxmocap.pipelines.live.loop import marker_source
+from jaxmocap.pipelines.live.setup import LiveSetup
 from jaxmocap.pipelines.live.status import LiveStatus
 
 # What the person is asked to do.
@@ -117,9 +116,9 @@ class _Listening:
         self._began, self._setup, self._status, self._stop = monotonic(), setup, status, stop
         self._samples: deque[MarkerSample] = deque(maxlen=2000)
         assembler = SampleAssembler(
-            setup.marker_names, setup.aliases, setup.R_world_source, self._samples.append
+            setup.marker_names, setup.source.aliases, setup.R_world_source, self._samples.append
         )
-        self._source = marker_source(setup, assembler, self.now)
+        self._source = setup.source.open(assembler, self.now)
         self._source.start()
         self._assembler = assembler
         status.log(0.0, f"listening at {self._source.address}")

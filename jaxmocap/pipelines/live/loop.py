@@ -1,6 +1,6 @@
 """The live loop: markers and cameras in, poses out, as they come.
 
-    socket ──── gathering ─┐                                    ┌── VMC, VRChat
+    source ──── gathering ─┐                                    ┌── senders
                            ├─ inbox ── tracking ── Output ──────┤
     cameras ───────────────┘   (the newest ones)                └── viewer
         └── recording on disk
@@ -26,18 +26,15 @@ import numpy as np
 
 from jaxmocap.capture.streams.cameras import LiveCamera
 from jaxmocap.capture.streams.inbox import Inbox, LiveFrame
-from jaxmocap.capture.streams.lsl import MarkerStream
 from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
-from jaxmocap.capture.streams.udp import MarkerSocket
-from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import bone_point_positions
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.senders.osc import DatagramSender
-from jaxmocap.outputs.senders.vmc import VMC
-from jaxmocap.outputs.senders.vrchat import Trackers
+from jaxmocap.outputs.senders.unity import UnityBody
 from jaxmocap.pipelines.live.recording import LiveRecording
+from jaxmocap.pipelines.live.setup import LiveSetup
 from jaxmocap.pipelines.live.status import LiveStatus
-from jaxmocap.pipelines.live.stream_states import SILENT_S, WHY_IGNORED, stream_states
+from jaxmocap.pipelines.live.stream_states import SILENT_S, stream_states
 from jaxmocap.pipelines.live.tracking import LiveTracking, Output
 
 # Samples in the queue, at most: a tenth of a second of a headset's. Where more arrive than can be
@@ -107,11 +104,11 @@ class Live:
         self._began = monotonic()
         bind = partial(bone_point_positions, setup.skeleton, setup.places)
         gathering = SampleAssembler(
-            setup.marker_names, setup.aliases, setup.R_world_source, self._take_sample, bind
+            setup.marker_names, setup.source.aliases, setup.R_world_source, self._take_sample, bind
         )
         self._gathering = gathering
-        self._socket = marker_source(setup, gathering, self._now)
-        ending.callback(self._socket.stop)
+        self._source = setup.source.open(gathering, self._now)
+        ending.callback(self._source.stop)
         colour = smooth or out is not None or self._viewer is not None
         self._cameras = [
             LiveCamera(video, i, self._take_frame, colour, self._now)
@@ -119,12 +116,11 @@ class Live:
         ]
         for camera in self._cameras:
             ending.callback(camera.stop)
-        self._vmc, self._to_vmc = VMC(setup.skeleton), DatagramSender(setup.vmc)
-        ending.callback(self._to_vmc.close)
-        self._to_vrchat = DatagramSender(setup.vrchat) if setup.vrchat else None
-        if self._to_vrchat is not None:
-            ending.callback(self._to_vrchat.close)
-        self._trackers = Trackers(self._vmc.body, setup.trackers) if setup.vrchat else None
+        self._body, self._senders = UnityBody(setup.skeleton), []
+        for table in setup.senders:
+            to = DatagramSender(table.send)
+            ending.callback(to.close)
+            self._senders.append((table.sender(self._body), to))
         self.tracking = LiveTracking(setup, settings, smooth)
         ending.callback(self.tracking.close)
         self._deviations, self._newest_sample = np.full(2, np.nan), -np.inf
@@ -133,7 +129,7 @@ class Live:
     @property
     def address(self) -> Any:
         """Where markers are received."""
-        return self._socket.address
+        return self._source.address
 
     def _now(self) -> float:
         return monotonic() - self._began
@@ -160,12 +156,13 @@ class Live:
         """
         stop = stop or threading.Event()
         self._began, self._newest_sample = monotonic(), -np.inf
-        sources = (self._socket, *self._cameras)
+        sources = (self._source, *self._cameras)
         with self._ending, _short_switch_interval():
             try:
                 for each in sources:
                     each.start()
-                self.status.log(0.0, f"listening at {self.address}, VMC to {self._setup.vmc}")
+                targets = [f"{each.title} to {each.send}" for each in self._setup.senders]
+                self.status.log(0.0, ", ".join([f"listening at {self.address}", *targets]))
                 while not stop.is_set() and (seconds is None or self._now() < seconds):
                     self._handle_next()
             finally:
@@ -199,15 +196,14 @@ class Live:
         now = self._now()
         if now - self._newest_sample > SILENT_S and now - self._last_heartbeat > HEARTBEAT_S:
             self._last_heartbeat = now
-            self._to_vmc.send(self._vmc.lost(now))
+            for sender, to in self._senders:
+                to.send(sender.lost(now))
         self._update_status(now)
 
     def _send(self, output: Output) -> None:
-        datagrams, joints = self._vmc.frame(output.time, output.pose)
-        for datagram in datagrams:
-            self._to_vmc.send(datagram)
-        if self._to_vrchat and self._trackers:
-            self._to_vrchat.send(self._trackers.frame(joints))
+        local = self._body.local(output.pose)
+        for sender, to in self._senders:
+            to.send(sender.frame(output.time, local))
         now = self._now()
         self.status.count_output(now, now - output.arrived)
         self._deviations = output.deviations
@@ -218,12 +214,12 @@ class Live:
     def _update_status(self, now: float) -> None:
         """Log changed states, and update the status line."""
         self.status.set_state(now, "tracking", self._progress())
-        sources = self._socket, self._gathering, self._cameras
+        sources = self._source, self._gathering, self._cameras
         for subject, state in stream_states(*sources, now, self._setup.places):
             self.status.set_state(now, subject, state)
         if self.recording is not None and self.recording.problem:
             self.status.set_state(now, "recording", self.recording.problem)
-        received_at = {"markers": self._socket.last_arrival} | {
+        received_at = {"markers": self._source.last_arrival} | {
             c.name: c.last_arrival for c in self._cameras
         }
         self.status.update_line(
@@ -254,36 +250,27 @@ class Live:
         recording = self.recording
         self.status.end_line()
         return self.status.figures(self._ended) | {
-            "packets": self._socket.packets,
-            "senders": self._socket.packets_by_sender(),
-            "ignored": {why: count for why, count in self._socket.ignored.items() if count},
-            "clock_jumps": self._socket.clock_jumps,
+            "packets": self._source.packets,
+            "senders": self._source.packets_by_sender(),
+            "ignored": {why: count for why, count in self._source.ignored.items() if count},
+            "clock_jumps": self._source.clock_jumps,
             "dropped": self._dropped() | {"not recorded": recording.dropped if recording else 0},
             "frames": {camera.name: camera.frames for camera in self._cameras},
             "placed_again": self.tracking.placements,
-            "not_sent": self._to_vmc.failed,
+            "not_sent": sum(to.failed for _, to in self._senders),
             "recording": str(recording.path) if recording and recording.path else None,
             "problems": list(self._problems()),
         }
 
     def _problems(self) -> Iterator[str]:
         """Why the run received or recorded nothing, or not all."""
-        if self._socket.last_arrival is None:
-            reason = f": {self._socket.problem}" if self._socket.problem else ""
-            if self._socket.ignored["scaled"]:
-                reason += WHY_IGNORED["scaled"]
+        if self._source.last_arrival is None:
+            reason = f": {self._source.problem}" if self._source.problem else ""
+            reason += "".join(hint for why, hint in self._source.hints.items()
+                              if self._source.ignored[why])  # fmt: skip
             yield f"no marker came in at {self.address}{reason}"
         if self.recording is not None and self.recording.problem:
             yield self.recording.problem
-
-
-def marker_source(
-    setup: LiveSetup, gathering: SampleAssembler, now: Callable[[], float]
-) -> MarkerSocket | MarkerStream:
-    """The source of markers."""
-    if setup.lsl is not None:
-        return MarkerStream(setup.lsl, gathering, now)
-    return MarkerSocket(setup.listen, gathering, setup.raw, now, setup.allowed_networks)
 
 
 @contextmanager

@@ -37,12 +37,12 @@ from jaxmocap.formats.files.writing import (
     remove_stale_temporaries,
     write_bytes,
 )
-from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import MarkerPlace
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.recordings.subject import DEFAULT_HEIGHT
 from jaxmocap.formats.time_series.tables import format_rows
 from jaxmocap.pipelines.live.files import GrowingVideo, LineFile
+from jaxmocap.pipelines.live.setup import LiveSetup
 
 # Samples and frames in the queue, at most, a tenth of them frames; more are dropped and counted.
 LONGEST_QUEUE = 600

@@ -18,11 +18,11 @@ from jaxmocap.calibration.devices.standing import Stance
 from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.formats.files.errors import printable
 from jaxmocap.formats.files.short_repr import short_name
-from jaxmocap.formats.recordings.live import LiveSetup, load_live
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.live.calibrating import COUNTDOWN_S, calibrate_live
 from jaxmocap.pipelines.live.loop import Live
 from jaxmocap.pipelines.live.recording import check_free
+from jaxmocap.pipelines.live.setup import LiveSetup, load_live
 from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stop import stopped_by_signals
 from jaxmocap.pipelines.live.tracking import Output

@@ -8,22 +8,17 @@ A count changes its state at every tenfold, not at every packet. Names are short
 from collections.abc import Iterator, Sequence
 
 from jaxmocap.capture.streams.cameras import LiveCamera
-from jaxmocap.capture.streams.lsl import MarkerStream
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
-from jaxmocap.capture.streams.udp import MarkerSocket
+from jaxmocap.capture.streams.source import MarkerSource
 from jaxmocap.formats.files.short_repr import comma_list, short_name
 from jaxmocap.formats.recordings.marker_places import MarkerPlace
 
 # A stream that received nothing for so many seconds is silent; no pose is sent then.
 SILENT_S = 0.3
-# Reason -> what to do about it.
-WHY_IGNORED = {
-    "scaled": "; devices come as .../Pos without .../Pos/Local: leave out 'raw' in [osc]",
-}
 
 
 def stream_states(
-    markers: MarkerSocket | MarkerStream,
+    markers: MarkerSource,
     gathering: SampleAssembler,
     cameras: Sequence[LiveCamera],
     now: float,
@@ -47,10 +42,10 @@ def stream_states(
         # Who sends markers sends bones, expressions and settings as well: that is worth a line only
         # while no marker comes.
         if count and not (why in ("foreign", "scaled") and markers.last_arrival is not None):
-            yield f"{why} packets ignored", f"{tenfold(count)}{WHY_IGNORED.get(why, '')}"
+            yield f"{why} packets ignored", f"{tenfold(count)}{markers.hints.get(why, '')}"
     if markers.refused_hosts:
         hosts = comma_list(sorted(markers.refused_hosts.copy()))
-        yield "strangers", f"{hosts}; [osc] from = [...] lists who may send"
+        yield "strangers", f"{hosts}; {markers.who_may_send}"
     if gathering.unknown_names:
         yield "no markers of ours", comma_list(sorted(gathering.unknown_names.copy()))
     for camera in cameras:
@@ -72,7 +67,7 @@ def _orientation_states(
         yield "orientations missing", comma_list(absent) or "none"
 
 
-def _markers_state(markers: MarkerSocket | MarkerStream, now: float) -> str:
+def _markers_state(markers: MarkerSource, now: float) -> str:
     if markers.problem is not None:
         return markers.problem
     if markers.last_arrival is None:

@@ -28,11 +28,11 @@ from jaxmocap.capture.one_euro import OneEuro
 from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.capture.streams.recent_markers import RecentMarkers
 from jaxmocap.capture.streams.sample_assembly import MarkerSample
-from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import bone_points
 from jaxmocap.hybrid.refine import StepReport
-from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.settings import Settings, unused_setting
 from jaxmocap.hybrid.tracker import HybridTracker, State
+from jaxmocap.pipelines.live.setup import LiveSetup
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
 
 # With smoothing a sample waits so many seconds for frames that are older than it.
@@ -84,15 +84,18 @@ class LiveTracking:
             settings: of the tracker.
             smooth: whether poses are smoothed, two frames late.
             tracker: of this person, these markers and cameras, compiled before.
+
+        Raises:
+            ValueError: something was chosen that has no part in it, see ``unused_setting``.
         """
         cameras = [v.camera for v in setup.videos] if settings.refine != "none" else []
         places = bone_points(setup.skeleton, setup.places)
         sites = marker_sites(setup.skeleton, places)
         self._cameras, self.needs_colour = len(cameras), smooth and bool(cameras)
+        if problem := unused_setting(settings, self.needs_colour, causal=True):
+            raise ValueError(problem)
         if tracker is None:
             tracker = HybridTracker(setup.skeleton, cameras, settings, sites)
-            # What is smoothed starts from where the search has the elbows.
-            tracker = tracker.by_search() if self.needs_colour else tracker
         self.tracker = tracker
         self._filter = None if setup.one_euro is None else OneEuro(setup.one_euro)
         self._ended, self._can_solve = Event(), Event()

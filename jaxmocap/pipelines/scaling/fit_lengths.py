@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import Skeleton, scale_to_height, with_wrists
-from jaxmocap.capture.checks.body_reach import skeleton_stature
+from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.capture.footage import forward_readers
 from jaxmocap.capture.frame_cache import cached_frames
 from jaxmocap.compilation.clock import Clock
@@ -85,7 +85,7 @@ def fit_recording(recording: Recording, progress: Progress | bool | None = None)
         events = RecordingEvents.of(opened.recording, opened.videos, "own", opened.cleaning)
         part = lambda done, total: show(round(36 * done / total), 100)  # noqa: E731
         with forward_readers(opened.videos) as readers:
-            first = scanned(events, tracker.by_search(), readers, part, clock)
+            first = scanned(events, tracker, readers, part, clock)
         solved = solve_recording(
             tracker.model,
             tracker.settings.smoothing,

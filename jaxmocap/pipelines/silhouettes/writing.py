@@ -25,16 +25,14 @@ from jaxmocap.outputs.viewer import Footage, write_rerun
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.silhouettes.person import Person
 from jaxmocap.pipelines.silhouettes.track import Masks, SilhouetteResult
+from jaxmocap.pipelines.viewer_frames import FrameCounter, viewer_frame_count, viewer_frames
 from jaxmocap.pipelines.writing import (
     MOTION,
     MOTION_FILES,
-    FrameCounter,
     Warn,
     ignore_warning,
     inputs_of,
     overlay_names,
-    viewer_frame_count,
-    viewer_frames,
     write_motion,
     write_overlays,
 )
@@ -63,7 +61,7 @@ def write_results(
     Args:
         result: from the recording.
         recording: with its videos.
-        directory: is made where missing.
+        directory: is made where missing; see ``pipelines.writing.write_outputs``.
         progress: called with the frames drawn and their total; True shows a bar
             on stderr; None does so on a terminal.
         person: who was tracked: if their colours were measured, their own surface is the skin.
@@ -75,10 +73,12 @@ def write_results(
 
     Raises:
         InputError: see ``tracked_folder``.
-        OutputError: the disk is full; what was there is as it was.
+        OutputError: the disk is full; every file that is there is complete.
     """
-    return results_folder(directory, recording, inputs).write(
-        lambda stage: write_into(result, recording, stage, progress, person, warn)
+    folder, skin = results_folder(directory, recording, inputs), _skin(result, person)
+    files = folder.write(lambda stage: _write_numbers(result, recording, stage, skin, warn))
+    return files + folder.write(
+        lambda stage: _write_pictures(result, recording, stage, skin, progress)
     )
 
 
@@ -97,24 +97,46 @@ def write_into(
     folder: Path,
     progress: Progress | bool | None = None,
     person: Person | None = None,
-    warn: Warn = ignore_warning,
 ) -> list[Path]:
     """The same into a folder that is there, of which nothing is asked."""
-    motion = result.motion
-    skin, picture = _skin(result, person)
+    skin = _skin(result, person)
+    files = _write_numbers(result, recording, folder, skin)
+    return files + _write_pictures(result, recording, folder, skin, progress)
+
+
+def _write_numbers(
+    result: SilhouetteResult,
+    recording: Recording,
+    folder: Path,
+    skin: tuple[Surface, bytes | None],
+    warn: Warn = ignore_warning,
+) -> list[Path]:
+    """The motion and its report."""
     warnings: list[str] = []
-    files = write_motion(motion, folder, skin, picture, warnings.append)
+    files = write_motion(result.motion, folder, *skin, warnings.append)
     files.append(folder / "report.json")
     extra = {"recording": recording.path or recording.name, "warnings": warnings}
-    write_report(files[-1], motion, extra)
+    write_report(files[-1], result.motion, extra)
     for sentence in warnings:
         warn(sentence)
+    return files
+
+
+def _write_pictures(
+    result: SilhouetteResult,
+    recording: Recording,
+    folder: Path,
+    skin: tuple[Surface, bytes | None],
+    progress: Progress | bool | None,
+) -> list[Path]:
+    """The videos and the viewer's recording."""
+    motion, (surface, picture) = result.motion, skin
     videos = [open_video(source) for source in recording.videos]
     with progress_bar("drawing", progress) as show:
         counter = FrameCounter(
             show, sum(2 * len(video) + viewer_frame_count(video) for video in videos)
         )
-        files += write_overlays(motion, recording, videos, folder, {}, counter)
+        files = write_overlays(motion, recording, videos, folder, {}, counter)
         files += _write_segmentations(result, recording, videos, folder, counter)
         files.append(folder / "recording.rrd")
         footage = {
@@ -122,7 +144,7 @@ def write_into(
             for source, video in zip(recording.videos, videos, strict=True)
         }
         colours = None if picture is None else picture_of(folder, picture)
-        write_rerun(files[-1], motion, footage, {}, surface=skin, picture=colours)
+        write_rerun(files[-1], motion, footage, {}, surface=surface, picture=colours)
     return files
 
 

@@ -17,8 +17,9 @@ from jaxmocap.body.arms import arms_of, swivels
 from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.motion import Motion, Report
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
+from jaxmocap.capture.filters import butterworth_low_pass
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.pipelines.tracking import warnings
 from jaxmocap.pipelines.tracking.events import RecordingEvents
@@ -48,6 +49,22 @@ def unsmoothed(first_pass: FirstPass) -> Trajectory:
     deviations[:, ELBOWS] = of_elbows[..., None] / np.sqrt(3)
     unknown = np.full(deviations.shape[:2], np.nan)
     return Trajectory(first_pass.poses, np.zeros(0), deviations=deviations, from_prior=unknown)
+
+
+def low_passed(times: np.ndarray, poses: Pose, skeleton: Skeleton, cutoff: float) -> Pose:
+    """Poses (T, ...) without what changes faster than a cut-off, Hz.
+
+    What the first paper's section 7 proposes against oscillations, by each degree of freedom, the
+    pelvis' as well: angles alone would follow a pelvis that jumps.
+    """
+    place, turn, angles = (np.array(part) for part in poses)
+    # The next of two opposite quaternions, which are one turn.
+    turn[1:] *= np.cumprod(np.sign(np.sum(turn[1:] * turn[:-1], -1, keepdims=True)), 0)
+    every = np.concatenate([place, turn, angles], -1)[..., None].astype(float)
+    filtered = butterworth_low_pass(times, every, cutoff)[..., 0]
+    place, turn, angles = unpack(filtered.astype(place.dtype))
+    turn = turn / np.linalg.norm(turn, axis=-1, keepdims=True)
+    return Pose(place, turn, np.clip(angles, *np.asarray(skeleton.limits).T))  # type: ignore[arg-type]
 
 
 def gathered(final: Sequence[SmoothedPose]) -> Trajectory:

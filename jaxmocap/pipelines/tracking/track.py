@@ -3,22 +3,23 @@
     Recording ── events ── first pass: scanned, or stepped as if live ── smoothing ── Motion
                  (a marker sample, a video frame, or both at every event)
 
-Smoothing over a whole recording starts where the search has the elbows. What follows the search
-frame by frame, the simplex, brings it nothing: 4.77 cm without it, 4.79 with it over ten fencers.
-From the markers' poses, without the search, it ends at 6.2 cm.
+Smoothing starts where the search has the elbows: from the markers' poses it ends farther off.
 
 INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its Report.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable
 from time import perf_counter
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.capture.filters import Cleaning, filter_markers
+from jaxmocap.body.pose import Pose
+from jaxmocap.calibration.static_trial import measured_bones
+from jaxmocap.capture.checks.lengths import check_stretched_arms
+from jaxmocap.capture.filters import Cleaning, check_cutoff, filter_markers
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.frame_cache import cached_frames
 from jaxmocap.capture.keypoints import Keypoints
@@ -27,7 +28,7 @@ from jaxmocap.capture.video import FrameSource
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.appearance.learned import ROWS
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.settings import Settings, unused_setting
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
@@ -35,9 +36,10 @@ from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
 from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events, open_all_keypoints
 from jaxmocap.pipelines.tracking.marked import MarkedPass, followed, is_marked
-from jaxmocap.pipelines.tracking.motions import Tracked, gathered, motions, unsmoothed
+from jaxmocap.pipelines.tracking.motions import Tracked, gathered, low_passed, motions, unsmoothed
 from jaxmocap.smoothing.batch import smooth_recording
 from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, DELAY_S, FixedLagSmoother
+from jaxmocap.smoothing.markers_alone import smooth_markers
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
 
 
@@ -76,6 +78,7 @@ def track(
 
     Raises:
         InputError: a video or key points that cannot be used with the recording.
+        ValueError: something was chosen that has no part in it, see ``unused_setting``.
 
     Example:
         >>> from jaxmocap import Recording, Settings, track
@@ -101,27 +104,28 @@ def track_both(
     tracker = tracker or make_tracker(opened.recording, settings)
     used = opened.videos if tracker.model.camera_count else []
     events = RecordingEvents.of(opened.recording, used, mode, opened.cleaning)
-    smooth = bool(used) and tracker.settings.smooth
+    marked = not (causal and used) and is_marked(tracker)
+    # Markers that determine the body need no smoothing but by the video; causally none has it.
+    smooth = tracker.settings.smooth and (bool(used) or not (marked or causal))
+    if problem := unused_setting(tracker.settings, smooth or marked, causal):
+        raise ValueError(problem)
+    if cutoff := float(tracker.settings.low_pass):
+        check_cutoff(opened.recording, cutoff, "low_pass")
     smoother = None
     if smooth and causal:
         smoother = FixedLagSmoother(tracker.model, tracker.settings.smoothing)
-    marked = not (causal and used) and is_marked(tracker)
     by_markers: MarkedPass | None = None
     in_colour = forward_readers(used, colour=smoother is not None)
     with progress_bar("tracking", progress, "compiling") as show, in_colour as readers:
-        # What is smoothed starts from where the search has the elbows.
-        stepping = tracker.by_search() if smooth else tracker
         if marked:
             by_markers = followed(events, tracker, show, causal)
             tracker, first, final = by_markers.tracker, by_markers.first, []
             opened = opened._replace(recording=by_markers.recording(opened.recording))
         elif causal:
-            first, final = stepped(events, stepping, readers, smoother, show, clock)
+            first, final = stepped(events, tracker, readers, smoother, show, clock)
         else:
-            first, final = scanned(events, stepping, readers, show, clock), []
+            first, final = scanned(events, tracker, readers, show, clock), []
     trajectory, passed = gathered(final) if smoother else None, perf_counter()
-    if smooth:
-        opened = opened._replace(warnings=(*opened.warnings, *_without_part(tracker.settings)))
     if smooth and not causal:
         with progress_bar("smoothing", progress, "compiling") as show:
             trajectory = clock.timed(
@@ -138,6 +142,8 @@ def track_both(
         figures["fitted"] = by_markers.sentence
         trajectory = trajectory or by_markers.trajectory
     ended = trajectory or unsmoothed(first)
+    if cutoff:
+        ended = ended._replace(poses=_low_passed(events, ended.poses, tracker, cutoff))
     return motions(tracker.model, events, first, ended, clock.milliseconds, plain(figures))
 
 
@@ -154,15 +160,6 @@ def _run_figures(
         "filters": opened.cleaning.figures(),
         "tracker": settings,
     }
-
-
-def _without_part(settings: Settings) -> Iterator[str]:
-    """A sentence if something was chosen that has no part where poses are smoothed."""
-    if settings.refine == "gradient":
-        yield (
-            "refinement by gradient acts frame by frame and has no part where poses are smoothed: "
-            "take --paper, or Settings(smooth=False)"
-        )
 
 
 class Opened(NamedTuple):
@@ -192,6 +189,10 @@ def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
         InputError: a video or key points that cannot be used with the recording.
     """
     videos, warnings = open_footage(recording.require_markers())
+    if recording.path is not None and recording.videos:
+        measured = measured_bones(recording.path)
+        stretched = check_stretched_arms(recording, measured)
+        warnings += tuple(f"{recording.path}: {finding.sentence}" for finding in stretched)
     recording, cleaning = filter_markers(recording, causal=mode == "causal")
     warnings += cleaning.warnings
     keypoints = open_all_keypoints(recording, videos)
@@ -214,9 +215,25 @@ def _smoothed(
     first: FirstPass,
     show: Callable[[float], None],
 ) -> Trajectory | None:
+    model, settings = tracker.model, tracker.settings.smoothing
+    if not model.camera_count or not (first.frame_index >= 0).any():
+        return smooth_markers(model, settings, first, show)
     first = with_sight_lines(opened, events, first)
-    videos = cached_frames(opened.videos, ROWS)
-    return smooth_recording(tracker.model, tracker.settings.smoothing, first, videos, show)
+    return smooth_recording(model, settings, first, cached_frames(opened.videos, ROWS), show)
+
+
+def _low_passed(
+    events: RecordingEvents, poses: Pose, tracker: HybridTracker, cutoff: float
+) -> Pose:
+    """Poses of the events, of which those at the samples are filtered."""
+    rows = np.flatnonzero(events.timeline.sample_index >= 0)
+    times = events.recording.times[events.before :]
+    at_samples = jax.tree.map(lambda part: np.asarray(part)[rows], poses)
+    filtered = low_passed(times, at_samples, tracker.model.skeleton, cutoff)
+    poses = jax.tree.map(np.array, poses)
+    for part, new in zip(poses, filtered, strict=True):
+        part[rows] = new
+    return poses
 
 
 def _turns_deg(recording: Recording, trajectory: Trajectory | None) -> dict[str, list[float]]:
@@ -228,15 +245,3 @@ def _turns_deg(recording: Recording, trajectory: Trajectory | None) -> dict[str,
 def make_tracker(recording: Recording, settings: Settings | None = None) -> HybridTracker:
     """The tracker for a recording's person, markers and cameras."""
     return HybridTracker.from_recording(recording, settings)
-
-
-def choose_settings(
-    refine: Literal["simplex", "gradient", "search", "none"] = "simplex",
-    evidence: Literal["outline", "coverage"] | None = None,
-    paper: bool = False,
-) -> Settings:
-    """The tracker's defaults or the first paper's own way, by other evidence where it is named."""
-    chosen = replace(Settings.paper() if paper else Settings(), refine=refine)
-    if evidence is None:
-        return chosen
-    return replace(chosen, edges=replace(chosen.edges, compared=evidence))

@@ -92,8 +92,8 @@ def swing(
     joints = np.array([*frames.joints_world[bones], tip])
     grip = site_positions(skeleton, frames, grip_sites)["lr".index(side)]
     axis = (grip - joints[0]) / np.linalg.norm(grip - joints[0])
-    swung = np.array([joints[0] + turned(joint - joints[0], axis, moves[0]) for joint in joints])
-    R_humerus = np.stack([turned(v, axis, moves[0]) for v in frames.R_world_bone[bones[0]].T], 1)
+    swung = joints[0] + turned(joints - joints[0], axis, moves[0])
+    R_humerus = turned(frames.R_world_bone[bones[0]].T, axis, moves[0]).T
     carrier = skeleton.tree.parents[bones[0]]
     R_local = frames.R_world_bone[carrier].T @ R_humerus
     shoulder = hinge_angles(R_local, np.asarray(skeleton.axes, float)[dofs[:3]], angles[dofs[:3]])
@@ -122,10 +122,13 @@ def refine_arm(
     dofs, own = arm_dofs(skeleton, side), settings.simplex
     limits = np.asarray(skeleton.limits, float)[dofs]
 
+    begun = swing(skeleton, pose, side, grip_sites, np.zeros(4))[0]
+    at_depth = float(np.mean(camera_depths(view.camera, begun)[:-1]))
+
     def cost(moves: np.ndarray) -> float:
         joints, grip, angles = swing(skeleton, pose, side, grip_sites, moves)
         beyond = np.maximum(limits[:, 0] - angles, 0) + np.maximum(angles - limits[:, 1], 0)
-        off_edges = raster_distance(skeleton, settings, side, view, joints)
+        off_edges = raster_distance(skeleton, settings, side, view, joints, at_depth)
         off_marker = float(own.hold) * float(np.linalg.norm(hand - grip))
         return (
             off_edges / float(settings.edges.scale) + off_marker + float(own.limit) * beyond.sum()
@@ -139,20 +142,25 @@ def refine_arm(
 
 
 def raster_distance(
-    skeleton: Any, settings: Any, side: str, view: ArmView, joints: np.ndarray
+    skeleton: Any, settings: Any, side: str, view: ArmView, joints: np.ndarray, at_depth: float
 ) -> float:
-    """Equation (13) over the area of the arm seen from the side, metres."""
+    """Equation (13) over the side-on area of the arm, a pixel measured at a depth."""
     bones = [skeleton.tree.bone(f"{limb}_{side}") for limb in LIMBS]
     radii = np.asarray(skeleton.diameters, float)[bones] / 2
     in_region = (cameras.project(view.camera, joints) - view.origin) / view.scale - 0.5
-    depths = np.maximum(cameras.to_camera(view.camera, joints)[:, 2], cameras.NEAREST_M)
+    depths = camera_depths(view.camera, joints)
     matrix = np.asarray(view.camera.matrix, float)
     focal = (matrix[0, 0] + matrix[1, 1]) / 2 / view.scale
     projected = focal * radii / np.stack([depths[:-1], depths[1:]], 1)
     covered = raster.coverage(
         view.field.shape, in_region[:-1], in_region[1:], projected, float(settings.edges.softness)
     )
-    samples_per_metre = matrix[0, 0] / max(np.mean(depths[:-1]), 0.1) / view.scale
+    samples_per_metre = matrix[0, 0] / max(at_depth, 0.1) / view.scale
     lengths = np.linalg.norm(np.diff(joints, axis=0), axis=1)
     area = np.sum(lengths * radii.sum(1)) * samples_per_metre**2
     return raster.chamfer(covered, view.field) / area / samples_per_metre
+
+
+def camera_depths(camera: Any, points: np.ndarray) -> np.ndarray:
+    """Depths (K,) of points (K, 3), world; metres."""
+    return np.maximum(cameras.to_camera(camera, points)[:, 2], cameras.NEAREST_M)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
@@ -42,9 +43,6 @@ from jaxmocap.silhouette.surfaces.index_image import (
 from jaxmocap.silhouette.surfaces.morph import Morph, morphed_skin
 from jaxmocap.silhouette.surfaces.swelling import morph_around
 
-# Steps of a node to a neighbour that lies farther out along its normal, at most.
-OUTWARD_STEPS = 3
-
 
 @dataclass(frozen=True)
 class RimSettings:
@@ -58,6 +56,8 @@ class RimSettings:
         jump: in depth that makes a boundary between limbs, metres.
         margin: around the person, as a fraction of its extent.
         finest: image pixels to a cell, at least.
+        outwards: steps of a node to a neighbour farther out along its normal, at most.
+        along: price of a cell that it goes along the outline, in cells farther out.
         levels: of the surface's low-passes, coarse to fine: harmonics around and waves along each
             limb.
     """
@@ -69,6 +69,8 @@ class RimSettings:
     jump: float = 0.04
     margin: float = 0.03
     finest: float = 0.25
+    outwards: int = 3
+    along: float = 0.0
     levels: tuple[tuple[int, int], ...] = ((1, 4), (2, 8), (4, 16))
 
 
@@ -114,62 +116,37 @@ class ProjectedNodes(NamedTuple):
     region: Region
 
 
-class RimFinder:
-    """Finds rims of surfaces that are alike node for node.
+def on_canvases(
+    nodes: tuple[Array, Array, Array], cameras: Camera, settings: RimSettings
+) -> ProjectedNodes:
+    """Nodes in the world, by components (M,), as C cameras see them on canvases about them."""
+    x, y, z = nodes
 
-    Attributes:
-        initial_shape: of the person, before any pass has corrected it.
-        settings: static.
-        morph: what of it goes along with the joints' angles; None if nothing does.
-    """
+    def one(camera: Camera) -> ProjectedNodes:
+        at_cam = camera_components(camera, x, y, z)
+        depth = jnp.maximum(at_cam[2], NEAREST_M)
+        u, v = pixel_components(camera, at_cam[0] / depth, at_cam[1] / depth)
+        corners = jnp.stack([jnp.stack([jnp.min(u), jnp.min(v)]),
+                             jnp.stack([jnp.max(u), jnp.max(v)])])  # fmt: skip
+        region = region_around(corners, settings.size, settings.margin, settings.finest)
+        column = (u - region.origin[0]) / region.scale - 0.5
+        row = (v - region.origin[1]) / region.scale - 0.5
+        places, keys = node_keys(column, row, depth, settings.size)
+        return ProjectedNodes(u, v, depth, places, keys, region)
 
-    def __init__(
-        self,
-        skeleton: Skeleton,
-        surface: Surface,
-        settings: RimSettings | None = None,
-        morphing: Morphing | None = None,
-    ):
-        """Prepare for a surface around a skeleton; traces once for a number of cameras."""
-        self.settings = settings or RimSettings()
-        joints, spacing = rest_joints(skeleton), self.settings.spacing
-        self.initial_shape = self.shape_of(skeleton, resampled(surface, joints, spacing))
-        self.morph = None
-        if morphing is not None and morphing.drivers:
-            self.morph = morph_around(morphing, skeleton.tree, surface, joints, spacing)
-        self._neighbours = neighbours(self.initial_shape.surface)
-        self._limbs = limb_numbers(self.initial_shape.surface)
-        self._project = jax.jit(self._projected)
+    return jax.vmap(one)(cameras)
 
-    def shape_of(self, skeleton: Skeleton, surface: Surface) -> BodyShape:
-        """Another shape of the same person: a surface of as many nodes, around a skeleton."""
-        return BodyShape.of(skeleton, surface, self.settings.levels)
 
-    def _projected(
-        self, skin: Skin, morph: Morph | None, skeleton: Skeleton, pose: Pose, cameras: Camera
-    ) -> ProjectedNodes:
-        """What C cameras see of all nodes; their places on canvases about the person."""
-        skin = skin if morph is None else morphed_skin(skin, morph, pose.angles)
-        x, y, z = skinned(forward(skeleton, pose), skin)
-        s = self.settings
+class RimTracer:
+    """Traces rims on the canvases of surfaces that are alike node for node."""
 
-        def one(camera: Camera) -> ProjectedNodes:
-            at_cam = camera_components(camera, x, y, z)
-            depth = jnp.maximum(at_cam[2], NEAREST_M)
-            u, v = pixel_components(camera, at_cam[0] / depth, at_cam[1] / depth)
-            corners = jnp.stack([jnp.stack([jnp.min(u), jnp.min(v)]),
-                                 jnp.stack([jnp.max(u), jnp.max(v)])])  # fmt: skip
-            region = region_around(corners, s.size, s.margin, s.finest)
-            column = (u - region.origin[0]) / region.scale - 0.5
-            row = (v - region.origin[1]) / region.scale - 0.5
-            places, keys = node_keys(column, row, depth, s.size)
-            return ProjectedNodes(u, v, depth, places, keys, region)
+    def __init__(self, surface: Surface, settings: RimSettings):
+        """Remember which nodes lie beside one another, and on which limb."""
+        self._settings = settings
+        self._neighbours, self._limbs = neighbours(surface), limb_numbers(surface)
 
-        return jax.vmap(one)(cameras)
-
-    def find(self, shape: BodyShape, pose: Pose, cameras: Camera, level: int = FULL) -> Rim:
-        """The rims as C cameras (stacked) see them, of the surface or of one of its low-passes."""
-        projected = self._project(shape.skins[level], self.morph, shape.skeleton, pose, cameras)
+    def rim(self, projected: ProjectedNodes) -> Rim:
+        """The rims of C cameras."""
         projected = jax.tree.map(np.asarray, projected)
         count = len(projected.u)
         views = [jax.tree.map(lambda part, c=c: part[c], projected) for c in range(count)]
@@ -179,7 +156,7 @@ class RimFinder:
 
     def _of_camera(self, projected: ProjectedNodes) -> tuple[np.ndarray, ...]:
         """One camera's row of all fields but the region."""
-        s = self.settings
+        s = self._settings
         keys = index_image(projected.places, projected.keys, s.size)
         mask = body_mask(keys)
         boundaries = [outer_boundary(keys, mask, s.outer)]
@@ -203,11 +180,59 @@ class RimFinder:
         self, nodes: np.ndarray, normals: np.ndarray, projected: ProjectedNodes
     ) -> np.ndarray:
         """Nodes (R,) moved to neighbours that appear farthest along the normals."""
-        for _ in range(OUTWARD_STEPS):
+        u, v = projected.u[nodes, None], projected.v[nodes, None]
+        price = self._settings.along / float(projected.region.scale)
+        for _ in range(self._settings.outwards):
             options = self._neighbours[nodes]
-            outwards = projected.u[options] * normals[:, :1] + projected.v[options] * normals[:, 1:]
-            nodes = options[np.arange(len(nodes)), outwards.argmax(1)]
+            x, y = projected.u[options] - u, projected.v[options] - v
+            out = x * normals[:, :1] + y * normals[:, 1:]
+            if price:
+                out = out - price * (x * normals[:, 1:] - y * normals[:, :1]) ** 2
+            nodes = options[np.arange(len(nodes)), out.argmax(1)]
         return nodes
+
+
+class RimFinder:
+    """Finds rims of surfaces that are alike node for node.
+
+    Attributes:
+        initial_shape: of the person, before any pass has corrected it.
+        settings: static.
+        morph: what of it goes along with the joints' angles; None if nothing does.
+    """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        surface: Surface,
+        settings: RimSettings | None = None,
+        morphing: Morphing | None = None,
+    ):
+        """Prepare for a surface around a skeleton; traces once for a number of cameras."""
+        self.settings = settings or RimSettings()
+        joints, spacing = rest_joints(skeleton), self.settings.spacing
+        self.initial_shape = self.shape_of(skeleton, resampled(surface, joints, spacing))
+        self.morph = None
+        if morphing is not None and morphing.drivers:
+            self.morph = morph_around(morphing, skeleton.tree, surface, joints, spacing)
+        self._tracer = RimTracer(self.initial_shape.surface, self.settings)
+        self._project = jax.jit(self._projected)
+
+    def shape_of(self, skeleton: Skeleton, surface: Surface) -> BodyShape:
+        """Another shape of the same person: a surface of as many nodes, around a skeleton."""
+        return BodyShape.of(skeleton, surface, self.settings.levels)
+
+    def _projected(
+        self, skin: Skin, morph: Morph | None, skeleton: Skeleton, pose: Pose, cameras: Camera
+    ) -> ProjectedNodes:
+        """What C cameras see of all nodes; their places on canvases about the person."""
+        skin = skin if morph is None else morphed_skin(skin, morph, pose.angles)
+        return on_canvases(skinned(forward(skeleton, pose), skin), cameras, self.settings)
+
+    def find(self, shape: BodyShape, pose: Pose, cameras: Camera, level: int = FULL) -> Rim:
+        """The rims as C cameras (stacked) see them, of the surface or of one of its low-passes."""
+        projected = self._project(shape.skins[level], self.morph, shape.skeleton, pose, cameras)
+        return self._tracer.rim(projected)
 
     def moves(self, nodes: np.ndarray) -> np.ndarray | None:
         """How the same nodes go along with drivers, (N, 3, S); None if nothing does."""

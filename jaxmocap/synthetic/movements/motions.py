@@ -14,7 +14,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import WINTER, Skeleton
 from jaxmocap.synthetic.movements.splines import Spline
 from jaxmocap.synthetic.people.figure import BoneFrames, Figure, Posture, PostureChannels
 
@@ -171,7 +171,7 @@ class Performance:
 
 def varied_figure(height: float, rng: np.random.Generator) -> Figure:
     """Someone of that height (metres) whose bones differ from the tables' by up to 3 %."""
-    average = Skeleton.human(height)
+    average = Skeleton.human(height, proportions=WINTER)
     names = [name.removesuffix("_l").removesuffix("_r") for name in average.tree.bones]
     spread = {name: rng.uniform(-LIMB_VARIATION, LIMB_VARIATION) for name in dict.fromkeys(names)}
     factors = jnp.asarray([1 + spread[name] for name in names], average.lengths.dtype)

@@ -1,17 +1,23 @@
-"""Coverage: how far the area of an arm lies from edges, equations (12) to (14).
+"""The first paper's chamfer sum: how far the area of an arm lies from edges, (12) to (14).
 
 The paper sums distances over the filled silhouette. Drawn, that is a soft raster of every sample of
 the region; integrated, it is a sum over few points that move with the limbs. Such a sum falls when
-the limb hides or shrinks, so the default evidence is the outline's (``traced``).
+the limb hides or shrinks, so the default evidence is the outline's (``evidence.edges``).
 
 INPUTS: one arm's limbs, a camera, the distance fields of its region. OUTPUTS: a cost.
 """
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose
 from jaxmocap.body.surfaces.cones import Cones, project_cones
+from jaxmocap.compilation.settings import settings, static, traced
+from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
 from jaxmocap.evidence.outlines.traced import TracedOutline
 from jaxmocap.geometry.areas import Areas, area_points
 from jaxmocap.geometry.cameras import (
@@ -34,6 +40,45 @@ ALONG, ACROSS = 5, 4
 LEAST_DEPTH_M = 0.1
 
 
+@settings
+class Chamfer(EdgeEvidence):
+    """Both arms on edges by equation (13); the field has no directions."""
+
+    drawn: bool = static(
+        True,
+        "draw every sample of a soft raster, as the paper does; else, and always by least squares, "
+        "the sum is integrated over some points a limb",
+    )
+    softness: Array = traced(1.0, "of the raster's borders, samples")
+
+    def camera_cost(
+        self, camera: Camera, region: Region, fields: Array, limbs: Cones, start: Cones
+    ) -> Array:
+        """Equation (13), metres, of limbs (..., 3), a pixel measured at the start's depth."""
+        unit = {"softness": self.softness, "at_depth": mean_depth(camera, start)}
+        if not self.drawn:
+            return integrated_distance(camera, region, fields, limbs, **unit)
+        of_place = partial(drawn_distance, camera, region, fields, **unit)
+        for _ in range(limbs.near.ndim - 2):
+            of_place = jax.vmap(of_place)
+        return of_place(limbs)
+
+    def on_limbs(
+        self, camera: Camera, region: Region, fields: Array, limbs: Cones, start: Cones
+    ) -> Array:
+        """Roots (3, K) of twice the prices of points over the limbs."""
+        at_depth = mean_depth(camera, start)
+        traced = trace_area(camera, region, fields, limbs, self.softness, at_depth)
+        # What is hidden has no share: its root has no slope.
+        shares = jnp.maximum(traced.weights, jnp.finfo(traced.weights.dtype).eps ** 2)
+        return jnp.sqrt(shares) * self.root_of_price(traced, jnp.inf)
+
+    def roots_of_shares(self, model: Model, fields: EdgeFields, start: Pose) -> Array:
+        """(2, C, 3, 1): an area's shares move with the limbs, and are taken there."""
+        shape = (2, model.camera_count, 3, 1)
+        return jnp.ones(shape, model.dtype)
+
+
 def chamfer_sum(
     camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array
 ) -> Array:
@@ -47,31 +92,39 @@ def chamfer_sum(
 
 
 def drawn_distance(
-    camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array
+    camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array, at_depth: Array
 ) -> Array:
-    """Equation (13) over the area that the limbs would cover seen from the side: metres.
+    """Equation (13) over the area that the limbs would cover side on: metres.
 
-    The area depends on the limbs' size and depth alone, so this is the paper's sum in another
-    unit: it has the same minimum, and the priors' weights do not depend on the resolution.
+    While a pixel is measured at a fixed depth, nothing of the unit moves with the limbs: the
+    minimum is the paper's, and the priors' weights do not depend on the resolution.
+
+    Args:
+        camera: that sees the arm.
+        region: of the arm in this camera (no batch).
+        fields: (K, S, S) distances, samples of the region.
+        limbs: three cones, world, metres.
+        softness: of the borders, samples.
+        at_depth: () at which a pixel is measured, metres.
     """
-    samples_per_metre = pixels_per_metre(camera, _depth(camera, limbs)) / region.scale
+    samples_per_metre = pixels_per_metre(camera, at_depth) / region.scale
     area = side_on_area(limbs) * samples_per_metre**2
     return chamfer_sum(camera, region, fields, limbs, softness) / area / samples_per_metre
 
 
-def _depth(camera: Camera, limbs: Cones) -> Array:
-    """(...) mean of the joints, metres."""
+def mean_depth(camera: Camera, limbs: Cones) -> Array:
+    """(...) of the joints of limbs (..., 3), metres."""
     return jnp.maximum(jnp.mean(depth(camera, limbs.near), -1), LEAST_DEPTH_M)
 
 
 def side_on_area(limbs: Cones) -> Array:
-    """The area (...) of limbs (..., 3) seen from the side, square metres."""
+    """The area (...) of limbs (..., 3) side on, square metres."""
     lengths = jnp.sqrt(jnp.sum((limbs.far - limbs.near) ** 2, -1) + 1e-12)
     return jnp.sum(lengths * jnp.sum(limbs.radii, -1), -1)
 
 
 def integrated_distance(
-    camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array
+    camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array, at_depth: Array
 ) -> Array:
     """``drawn_distance`` by few points: metres.
 
@@ -81,19 +134,19 @@ def integrated_distance(
         fields: (K, S, S) distances, samples of the region.
         limbs: (..., 3) cones, world, metres: one arm's, in one place or many.
         softness: of the borders where one limb covers another, samples.
+        at_depth: () at which a pixel is measured, metres.
     """
     areas, distances_px = _sampled(camera, region, fields, limbs, softness, smoothly=False)
-    away = _depth(camera, limbs)
-    total = jnp.sum(areas.weights * distances_px, (0, 1)) * away**2
-    return total / side_on_area(limbs) / pixels_per_metre(camera, away)
+    total = jnp.sum(areas.weights * distances_px, (0, 1)) * at_depth**2
+    return total / side_on_area(limbs) / pixels_per_metre(camera, at_depth)
 
 
 def trace_area(
-    camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array
+    camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array, at_depth: Array
 ) -> TracedOutline:
     """Look an arm's area up in the fields of its region, with a continuous slope.
 
-    The weights are shares of the area that the limbs would cover seen from the side.
+    The weights are shares of the area that the limbs would cover side on.
 
     Args:
         camera: that sees the arm.
@@ -101,14 +154,14 @@ def trace_area(
         fields: (K, S, S) distances, samples of the region.
         limbs: three cones, world, metres.
         softness: of the borders where one limb covers another, samples.
+        at_depth: () at which a pixel is measured, metres.
     """
     areas, distances_px = _sampled(camera, region, fields, limbs, softness, smoothly=True)
-    away = _depth(camera, limbs)
     return TracedOutline(
         jnp.stack([areas.x, areas.y], -1).swapaxes(0, 1),
         distances_px.T,
-        jnp.broadcast_to(1 / pixels_per_metre(camera, away), (len(limbs.near), 1)),
-        areas.weights.T * away**2 / side_on_area(limbs),
+        jnp.broadcast_to(1 / pixels_per_metre(camera, at_depth), (len(limbs.near), 1)),
+        areas.weights.T * at_depth**2 / side_on_area(limbs),
     )
 
 

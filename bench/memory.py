@@ -1,0 +1,151 @@
+"""``python -m bench.memory SAMPLES [--track] [--json FILE]``: memory of long recordings.
+
+INPUTS: how many samples of three markers at 90 Hz, without a video.
+OUTPUTS: a process's memory over time, GB, while the files of a motion so long are written, and
+while it is converted to each format of markers; with ``--track`` while it is tracked as well,
+which takes hours; Metrics.
+"""
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+from time import monotonic, sleep
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.command_line import command
+from bench.metrics import Metric, write_json
+from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.formats.motion_npz import load_motion, save_motion
+from jaxmocap.formats.recordings.recording import Recording, write_recording
+from jaxmocap.formats.time_series.csv import write_csv
+from jaxmocap.pipelines.writing import write_outputs
+from jaxmocap.synthetic.people.clothed_person import MARKERS
+from jaxmocap.synthetic.recording import MARKER_RATE, marker_places
+
+# Between two looks at a process, seconds.
+INTERVAL_S = 0.1
+# Lines of the table over time.
+LINES = 24
+GB = 1e9
+# What a process runs: the command, and what it does once it has tracked.
+COMMAND = "from jaxmocap.cli import enter; raise SystemExit(enter())"
+WRITE = "import sys; from bench.memory import write_tracked; write_tracked(*sys.argv[1:])"
+
+
+class Use(NamedTuple):
+    """What a process had, seconds after its start."""
+
+    seconds: float
+    bytes: int
+
+
+def write_long(folder: Path, samples: int) -> None:
+    """A person who sways for so many samples: ``recording.toml`` and ``motion.npz``."""
+    skeleton, times = Skeleton.human(1.75), np.arange(samples) / MARKER_RATE
+    limits, relaxed = np.asarray(skeleton.limits), np.asarray(skeleton.relaxed)
+    phases = np.random.default_rng(0).uniform(0, 6, len(relaxed))
+    swaying = 0.15 * np.ptp(limits, axis=1) * np.sin(times[:, None] + phases)
+    parts: list[Any] = [
+        np.tile([0.0, 0.0, 0.95], (samples, 1)),
+        np.tile([1.0, 0.0, 0.0, 0.0], (samples, 1)),
+        np.clip(relaxed + swaying, *limits.T),
+    ]
+    report = Report(
+        markers=tuple(MARKERS),
+        marker_errors=np.full((samples, len(MARKERS)), 0.002),
+        arm_costs=np.full((samples, 2), np.nan),
+        swivels=np.zeros((samples, 2)),
+        landmarks_std=np.full((samples, len(LANDMARKS), 3), 0.05),
+        from_prior=np.zeros((samples, len(LANDMARKS))),
+        statuses=((),) * samples,
+        milliseconds={"solve": np.ones(samples)},
+    )
+    motion = Motion(skeleton, times, Pose(*parts), report)
+    save_motion(folder / "motion.npz", motion)
+    ends = dict(zip(MARKERS, ("vertex", "hand_l", "hand_r"), strict=True))
+    joints = motion.joints()
+    write_csv(folder / "markers.csv", times, {name: joints[end] for name, end in ends.items()})
+    write_recording(folder, "markers.csv", marker_places(), subject={"height": 1.75})
+
+
+def write_tracked(recording: str, motion: str, out: str) -> None:
+    """What ``track`` does at its end."""
+    write_outputs(load_motion(motion), Recording.load(recording), out, progress=False)
+
+
+def watch(code: str, arguments: Sequence[str]) -> Iterator[Use]:
+    """Run Python code with arguments, and look at its memory until it ends.
+
+    Raises:
+        CalledProcessError: it did not end well.
+    """
+    start = monotonic()
+    process = subprocess.Popen([sys.executable, "-c", code, *arguments])
+    while process.poll() is None:
+        if resident := resident_bytes(process.pid):
+            yield Use(monotonic() - start, resident)
+        sleep(INTERVAL_S)
+    if process.returncode:
+        raise subprocess.CalledProcessError(process.returncode, arguments)
+
+
+def resident_bytes(process: int) -> int:
+    """Of a process; 0 where it has ended."""
+    try:
+        lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    except OSError:
+        return 0
+    found = [line.split()[1] for line in lines if line.startswith("VmRSS:")]
+    return 1024 * int(found[0]) if found else 0
+
+
+def over_time(uses: Sequence[Use]) -> list[str]:
+    """The most within each of ``LINES`` parts of the time, as a line of text each."""
+    edges = np.linspace(0, uses[-1].seconds, LINES + 1)
+    lines = []
+    for start, end in pairwise(edges):
+        within = [use.bytes for use in uses if start <= use.seconds <= end]
+        if within:
+            lines.append(f"{end:8.1f} s  {max(within) / GB:5.2f} GB")
+    return lines
+
+
+def main() -> None:
+    """Write, convert, print."""
+    parser = command("bench.memory", __doc__)
+    parser.add_argument("samples", type=int)
+    parser.add_argument("--track", action="store_true", help="track as well")
+    parser.add_argument("--json", metavar="FILE", help="write the metrics")
+    options = parser.parse_args()
+    metrics = []
+    with tempfile.TemporaryDirectory() as directory:
+        folder = Path(directory)
+        write_long(folder, options.samples)
+        recording, motion = str(folder / "recording.toml"), str(folder / "motion.npz")
+        runs = {"write": (WRITE, [recording, motion, str(folder / "written")])}
+        for suffix in ("trc", "csv"):
+            arguments = ["convert", motion, str(folder / f"joints.{suffix}")]
+            runs[f"convert to {suffix}"] = (COMMAND, arguments)
+        if options.track:
+            runs["track"] = (COMMAND, ["track", recording, "--out", str(folder / "tracked")])
+        for name, run in runs.items():
+            uses = list(watch(*run))
+            most = max(use.bytes for use in uses) / GB
+            print(f"{name}: {options.samples} samples, most memory {most:.2f} GB", flush=True)
+            print("\n".join(over_time(uses)), flush=True)
+            metrics.append(Metric(f"memory: {name}, {options.samples} samples", most, "GB"))
+        size = (folder / "written" / "recording.rrd").stat().st_size
+        print(f"recording.rrd: {size / GB:.2f} GB")
+    if options.json:
+        write_json(metrics, options.json)
+
+
+if __name__ == "__main__":
+    main()

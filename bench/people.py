@@ -1,0 +1,126 @@
+"""``python -m bench.people RECORDINGS [--only PERSON,...] [--json FILE]``: real people's markers.
+
+Six people walk and turn without a camera. Head and wrists carry markers, or ankles too; their
+bodies are stated by height and mass, or by a static trial. The reference is Plug-in Gait's joint
+centres. What walkers do (``body/data/walking.toml``) is learned of the others, for each of them;
+``--learn FILE`` writes it, learned of all.
+
+INPUTS: recordings, with ``people/``. OUTPUTS: mean position errors of joints, centimetres; the
+elbows' acceleration as a multiple of the reference's; how many coordinates of the truth 90 %
+intervals hold, of joints; Metrics.
+"""
+
+from contextlib import nullcontext
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+
+from bench.command_line import command
+from bench.interval_coverage import interval_coverage
+from bench.metrics import Metric, aligned, write_json
+from bench.walkers import MOVEMENTS, as_toml, learned, walks
+from jaxmocap.body.skeleton import landmark_rows
+from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.series import second_difference
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.trc import read_trc
+from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.progress import progress_bar
+from jaxmocap.pipelines.tracking.track import track
+from jaxmocap.smoothing import markers_alone
+from jaxmocap.smoothing.walking import Habits
+
+MARKERS, BODIES = ("three", "five"), ("height", "static")
+JOINTS = ("elbow", "shoulder", "hip", "knee", "neck")
+# Landmark -> its name in the reference.
+PAIRS = {
+    f"{joint}_{side}": f"{side.upper()}{joint.title()}" for joint in JOINTS[:-1] for side in "lr"
+} | {"neck": "Neck"}
+# How many coordinates 90 % intervals hold.
+HELD = tuple(f"{joint} within, %" for joint in JOINTS)
+FIGURES = (*(f"{joint}, cm" for joint in JOINTS), "acceleration, x", *HELD)
+
+
+def measure(recording: Path, habits: Habits | None = None) -> np.ndarray:
+    """The ``FIGURES`` of one recording, by habits of walkers other than those of the package."""
+    other = patch.object(markers_alone, "usual_habits", lambda: habits)
+    with other if habits else nullcontext():
+        motion = track(Recording.load(recording))
+    truth = read_trc(recording.with_name(recording.name.split("_")[1] + ".trc"))
+    errors = evaluate(motion, truth, PAIRS)
+    off = dict(zip(errors.joints, errors.statistics()["mean"], strict=True))
+    means = [np.mean([off[name] for name in PAIRS if name.startswith(j)]) for j in JOINTS]
+    assert motion.report is not None
+    # Samples of both are the same.
+    stated = motion.report.landmarks_std[:, landmark_rows(PAIRS)]
+    shares = interval_coverage(np.zeros_like(stated), errors.offsets, stated).share.mean(-1)
+    share_of = dict(zip(PAIRS, shares, strict=True))
+    held = [np.mean([share_of[name] for name in PAIRS if name.startswith(j)]) for j in JOINTS]
+    elbows = [name for name in PAIRS if "elbow" in name]
+    points, joints = truth.points(), motion.joints()
+    shaking, reference = (
+        np.mean([_acceleration(times, each) for each in every])
+        for times, every in (
+            (motion.times, [joints[name] for name in elbows]),
+            (truth.times, [points[PAIRS[name]] for name in elbows]),
+        )
+    )
+    return np.array([*(100 * m for m in means), shaking / reference, *(100 * h for h in held)])
+
+
+def _acceleration(times: np.ndarray, points: np.ndarray) -> float:
+    """Root mean square, m/s^2, of points (T, 3)."""
+    return float(np.sqrt(np.nanmean(np.sum(second_difference(times, points) ** 2, -1))))
+
+
+def main() -> None:
+    """Track, print."""
+    parser = command("bench.people", __doc__)
+    parser.add_argument("recordings", type=Path)
+    parser.add_argument("--only", metavar="PERSON,...", help="default: all")
+    parser.add_argument("--json", metavar="FILE", help="write the metrics")
+    parser.add_argument("--learn", metavar="FILE", help="write what all of them do, and end")
+    options = parser.parse_args()
+    folders = sorted((options.recordings / "people").glob("person_*"))
+    walked = {folder.name: walks(folder) for folder in folders}
+    if options.learn:
+        Path(options.learn).write_text(as_toml(learned(list(walked.values()))))
+        return
+    keep_compiled()
+    if options.only:
+        folders = [folder for folder in folders if folder.name in options.only.split(",")]
+    habits = {
+        folder.name: learned([own for name, own in walked.items() if name != folder.name])
+        for folder in folders
+    }
+    cases = [(m, b) for m in MARKERS for b in BODIES]
+    rows, metrics = [["markers, body", "", *FIGURES]], []
+    with progress_bar("tracking", True) as show:
+        for i, (markers, body) in enumerate(cases):
+            found = []
+            for folder in folders:
+                own = [
+                    measure(
+                        folder / f"recording_{movement}_{markers}_{body}.toml", habits[folder.name]
+                    )
+                    for movement in MOVEMENTS
+                ]
+                found.append(np.mean(own, 0))
+                rows.append([f"{markers}, {body}", folder.name, *map("{:.1f}".format, found[-1])])
+                show(i * len(folders) + len(found), len(cases) * len(folders))
+            mean, count = np.mean(found, 0), len(found)
+            for what, figures in (("mean", mean), ("least", np.min(found, 0))):
+                own = map("{:.2f}".format, figures)
+                rows.append([f"{markers}, {body}", f"{what} of {count}", *own])
+            metrics += [
+                Metric(f"{markers}, {body}: {name}", float(figure), name.split(", ")[-1])
+                for name, figure in zip(FIGURES, mean, strict=True)
+            ]
+    print(aligned(rows))
+    if options.json:
+        write_json(metrics, options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""A source of markers in a live run, and the table of the live file that asks for it.
+
+INPUTS: a table. OUTPUTS: a thread that gives markers to a SampleAssembler.
+
+A protocol is a file beside this one with both, and its name in ``pipelines/live/setup.py``.
+"""
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import numpy as np
+
+from jaxmocap.capture.streams.listener import Listener
+from jaxmocap.capture.streams.sample_assembly import SampleAssembler
+from jaxmocap.formats.files.toml import TomlTable
+
+
+class MarkerSource(Listener):
+    """Listens for markers.
+
+    Attributes:
+        address: what is listened to.
+        ignored: why -> how many packets, the whole of them or parts.
+        hints: why -> what to do about it.
+        packets: that came in.
+        last_arrival: when a marker came in last, ``monotonic`` seconds; None before.
+        problem: why nothing can come in, or None.
+        refused_hosts: hosts that sent and may not, the first of them.
+        who_may_send: where the live file states that.
+    """
+
+    hints: ClassVar[Mapping[str, str]] = {}
+    who_may_send: ClassVar[str] = ""
+
+    def __init__(self, address: Any, timeout_s: float):
+        """Prepare a thread, which takes so many seconds to end, at most."""
+        super().__init__("markers", timeout_s)
+        self.address, self.ignored, self.packets = address, Counter[str](), 0
+        self.last_arrival: float | None = None
+        self.problem: str | None = None
+        self.refused_hosts: set[str] = set()
+
+    @property
+    @abstractmethod
+    def clock_jumps(self) -> int:
+        """How often a sender's clock was set."""
+
+    @abstractmethod
+    def packets_by_sender(self) -> dict[str, int]:
+        """Sender -> packets that came in from there."""
+
+
+class SourceTable(ABC):
+    """A table of the live file that asks for a source.
+
+    Attributes:
+        kind: of the source.
+        keys: of the table.
+        aliases: name that a sender uses -> marker.
+        headsets: names of markers whose axes are a head's: x ahead, y left, z up.
+        R_world_source: (3, 3) to the world's axes, where [markers] states none.
+    """
+
+    kind: ClassVar[Callable[..., MarkerSource]]
+    keys: ClassVar[tuple[str, ...]]
+    aliases: Mapping[str, str] = MappingProxyType({})
+    headsets: Collection[str] = ()
+    R_world_source: ClassVar[np.ndarray] = np.eye(3)
+
+    @classmethod
+    @abstractmethod
+    def read(cls, fields: TomlTable, markers: Collection[str]) -> "SourceTable":
+        """Read a table, for markers of these names; InputError where a field does not fit."""
+
+    def open(self, assembler: SampleAssembler, now: Callable[[], float]) -> MarkerSource:
+        """The source, not yet listening; InputError where it cannot be had."""
+        return self.kind(self, assembler, now)

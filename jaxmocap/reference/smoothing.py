@@ -1,0 +1,164 @@
+"""Smoothing as one dense problem: the residuals of all frames in one vector, no bands, no border.
+
+The unknowns x (T N + P,) are the frames' tangent vectors from the poses of a start, and the
+logarithms of the proportions that they share; P may be 0.
+
+INPUTS: a model, settings, measurements of T frames (anything with their attributes), a start.
+OUTPUTS: residuals and their Jacobian, the minimum, standard deviations; float64.
+"""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxmocap.reference.hybrid.ik import Pose, retract
+from jaxmocap.reference.hybrid.mass import centre_of_gravity
+from jaxmocap.reference.kinematics import (
+    LANDMARK_ENDS,
+    forward,
+    landmark_positions,
+    quaternion_matrix,
+    site_positions,
+)
+
+# Groups of bones with a length in common, and deviations of its logarithm.
+PROPORTIONS = (("spine", 0.08), ("shoulder", 0.08))
+# Errors of these last: they count once for as long as ``persistence``, in the deviations.
+LASTING = ("pelvis", "posture", "ground", "balance")
+KEYPOINT_TAILS = 5.0
+STEP = 1e-6
+
+
+class Problem(NamedTuple):
+    """T frames: a model whose feet carry no marker, (T,) seconds, name -> (T, ...), poses (T, ...).
+
+    ``shared`` is P, ``persistence`` how many frames' errors of ``LASTING`` are one.
+    """
+
+    model: Any
+    settings: Any
+    times: np.ndarray
+    measured: dict
+    start: Any
+    shared: int = 0
+    persistence: float = 1.0
+
+    def split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The frames' (T, N) and the shared (P,) of the unknowns."""
+        own = len(x) - self.shared
+        return x[:own].reshape(len(self.times), -1), x[own:]
+
+    def pose(self, x: np.ndarray, t: int) -> Pose:
+        """Of a frame."""
+        return retract(Pose(*(np.asarray(part)[t] for part in self.start)), self.split(x)[0][t])
+
+
+def frame_values(problem: Problem, x: np.ndarray, t: int) -> np.ndarray:
+    """The whitened residuals of a frame's terms, and then its landmarks, metres: (R + 3 L,)."""
+    model, settings, pose = problem.model, problem.settings, problem.pose(x, t)
+    measured = {name: np.asarray(part, float)[t] for name, part in problem.measured.items()
+                if name != "sight_lines"}  # fmt: skip
+    skeleton, logarithms = model.skeleton, problem.split(x)[1]
+    lengths = np.array(skeleton.lengths, float)
+    for (group, _), logarithm in zip(PROPORTIONS, logarithms, strict=False):
+        lengths[skeleton.tree.bones_in(group)] *= np.exp(logarithm)
+    skeleton = replace(skeleton, lengths=lengths)
+    frames, R = forward(skeleton, pose), quaternion_matrix(pose.quaternion)
+    points = landmark_positions(skeleton, frames)
+    at = dict(zip(LANDMARK_ENDS, points, strict=True))
+    ankles = np.array([at["ankle_l"], at["ankle_r"]])
+    elbows = np.array([at["elbow_l"], at["elbow_r"]])
+    base = np.mean([*ankles, at["toe_l"], at["toe_r"]], axis=0)
+    low, high = np.asarray(skeleton.limits, float).T
+    # What is off, and its deviation; where no marker holds the feet, the pelvis is about the
+    # vertical, and faces thrice less surely.
+    turn = np.cross(R[:, 0], measured["facing"])[2]
+    lean, facing = settings.pelvis.lean, 3 * float(settings.pelvis.facing)
+    place, height = settings.ground.place, settings.ground.height
+    usual = float(settings.posture.ease) * np.asarray(skeleton.usual_deviations, float)
+    at_markers = site_positions(skeleton, frames, model.markers)
+    terms = {
+        "markers": (at_markers - measured["markers"], settings.markers.deviation),
+        "pelvis": ([*R[:2, 2], turn], [lean, lean, facing]),
+        "posture": (pose.angles - skeleton.relaxed, usual),
+        "limits": (pose.angles - np.clip(pose.angles, low, high), settings.limits.deviation),
+        "ground": (ankles - measured["ankles"], [place, place, height]),
+        "balance": (centre_of_gravity(skeleton, frames)[:2] - base[:2], settings.balance.deviation),
+        "elbows": (elbows - measured["elbows"], settings.elbows.deviation),
+        "keypoints": (off_lines(problem, points, t), 1.0),
+    }
+    residuals = []
+    for name, (off, deviation) in terms.items():
+        lasting = np.sqrt(problem.persistence) if name in LASTING else 1.0
+        residuals += list(np.ravel(off / (lasting * np.asarray(deviation, float))))
+    # What is missing counts nothing.
+    return np.concatenate([np.nan_to_num(residuals), points.ravel()])
+
+
+def off_lines(problem: Problem, points: np.ndarray, t: int) -> np.ndarray:
+    """Of landmarks (L, 3) from the lines of sight of a frame's key points, Student's t's tails."""
+    lines, off = problem.measured["sight_lines"], []
+    deviation = float(problem.settings.keypoints.deviation)
+    for origin, ways, sure in zip(*(np.asarray(part, float)[t] for part in lines), strict=True):
+        across = np.cross(ways, points - origin) * sure[:, None] / deviation
+        ratio = np.sum(across**2, 1, keepdims=True) / KEYPOINT_TAILS
+        off.append(across * np.sqrt(np.log1p(ratio) / np.where(ratio > 0, ratio, 1)))
+    return np.array(off)
+
+
+def stacked(problem: Problem, values: np.ndarray, logarithms: np.ndarray) -> np.ndarray:
+    """All residuals, of (T, R + 3 L) ``frame_values`` and (P,) shared: linear in both."""
+    count, times = 3 * len(LANDMARK_ENDS), problem.times
+    rows = [values[:, :-count].ravel()]
+    for t in range(1, len(times) - 1):
+        before, now, after = values[t - 1 : t + 2, -count:]
+        h1, h2 = times[t] - times[t - 1], times[t + 1] - times[t]
+        acceleration = ((after - now) / h2 - (now - before) / h1) / ((h1 + h2) / 2)
+        rows.append(acceleration * np.sqrt((h1 + h2) / 2) / float(problem.settings.acceleration))
+    deviations = np.array([deviation for _, deviation in PROPORTIONS])[: problem.shared]
+    rows.append(logarithms / deviations * np.sqrt(float(problem.settings.proportions)))
+    return np.concatenate(rows)
+
+
+def residuals(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """All whitened residuals (R,) of all frames."""
+    values = [frame_values(problem, x, t) for t in range(len(problem.times))]
+    return stacked(problem, np.array(values), problem.split(x)[1])
+
+
+def jacobian(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Central differences of the residuals (R, U) and of the landmarks (T, 3 L, U), U = T N + P."""
+    T, count = len(problem.times), 3 * len(LANDMARK_ENDS)
+    size, steps = problem.split(x)[0].shape[1], STEP * np.eye(len(x))
+    values = np.zeros((T, len(frame_values(problem, x, 0)), len(x)))
+    for t in range(T):
+        # Of what other frames have, this one does not depend.
+        for k in [*range(t * size, (t + 1) * size), *range(T * size, len(x))]:
+            ahead, behind = (frame_values(problem, x + sign * steps[k], t) for sign in (1, -1))
+            values[t, :, k] = (ahead - behind) / (2 * STEP)
+    by_shared = np.eye(len(x))[T * size :]
+    columns = [stacked(problem, values[:, :, k], by_shared[:, k]) for k in range(len(x))]
+    return np.stack(columns, 1), values[:, -count:]
+
+
+def step(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """Gauss and Newton's step (U,) from the dense normal equations."""
+    J, _ = jacobian(problem, x)
+    return -np.linalg.solve(J.T @ J, J.T @ residuals(problem, x))
+
+
+def minimum(problem: Problem, iterations: int) -> np.ndarray:
+    """The unknowns (U,) after so many steps from the start."""
+    x = np.zeros(len(problem.times) * (6 + problem.start.angles.shape[1]) + problem.shared)
+    for _ in range(iterations):
+        x = x + step(problem, x)
+    return x
+
+
+def deviations(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """Standard deviations (T, L, 3) of the landmarks by the dense inverse, metres."""
+    J, points = jacobian(problem, x)
+    covariance = np.linalg.inv(J.T @ J)
+    variances = np.einsum("tiu,uv,tiv->ti", points, covariance, points, optimize=True)
+    return np.sqrt(variances).reshape(len(points), -1, 3)

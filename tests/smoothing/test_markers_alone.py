@@ -1,0 +1,85 @@
+"""A recording that no camera shows: smoothed by its markers, in stretches where it is long."""
+
+import numpy as np
+import pytest
+from painted_motion import MARKERS, PERSON, points_of, truth
+
+from bench.people import FIGURES, measure
+from bench.walkers import learned, walks
+from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import landmark_rows
+from jaxmocap.evaluation.series import second_difference
+from jaxmocap.formats.recordings.recording import MarkerPlace, Recording
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.pipelines.tracking.track import track
+from jaxmocap.smoothing import markers_alone
+
+COUNT, RATE, NOISE_M = 90, 30, 0.001
+PLACES = {"Head": "head", "LWrist": "radius_l", "RWrist": "radius_r"}
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """Head and wrists of somebody whose arms are busy, and who is lost for half a second."""
+    poses = (Pose(*each) for each in zip(*truth(COUNT), strict=True))
+    points = [site_positions(PERSON, forward(PERSON, pose), MARKERS) for pose in poses]
+    positions = np.stack(points) + np.random.default_rng(0).normal(0, NOISE_M, (COUNT, 3, 3))
+    positions[40:55, 1] = np.nan
+    places = tuple(MarkerPlace(name, bone) for name, bone in PLACES.items())
+    return Recording(PERSON, np.arange(COUNT) / RATE, positions, places)
+
+
+def test_markers_alone_are_smoothed_and_say_how_sure_they_are(recording):
+    smoothed, raw = (track(recording, Settings(smooth=smooth)) for smooth in (True, False))
+    assert shaking(smoothed) < 0.7 * shaking(raw)
+    wrists = landmark_rows(("wrist_l", "wrist_r"))
+    expected = points_of(truth(COUNT))[:, wrists]
+    deviations = smoothed.report.landmarks_std
+    assert np.isfinite(deviations).all() and np.isnan(raw.report.from_prior).all()
+    found = np.stack([smoothed.joints()[f"wrist_{side}"] for side in "lr"], 1)
+    off, stated = (np.linalg.norm(v, axis=-1) for v in (found - expected, deviations[:, wrists]))
+    # Where a marker is there it holds its wrist, and where it is gone the deviation says so.
+    assert off[:40].max() < 0.01 and stated[:40].max() < 0.02
+    assert stated[47, 0] > 0.05 and off[40:55, 0].max() < 3 * stated[47, 0]
+
+
+def shaking(motion: Motion) -> float:
+    """Root mean square of an elbow's acceleration, m/s^2."""
+    accelerations = second_difference(motion.times, motion.joints()["elbow_r"])
+    return float(np.sqrt(np.mean(accelerations**2)))
+
+
+def test_long_recordings_are_solved_in_stretches_as_if_at_once(recording, monkeypatch):
+    whole = track(recording)
+    monkeypatch.setattr(markers_alone, "STRETCH", 30)
+    monkeypatch.setattr(markers_alone, "REACH_S", 0.7)
+    parts = track(recording)
+    # Proportions are of every third sample.
+    np.testing.assert_allclose(parts.skeleton.lengths, whole.skeleton.lengths, rtol=0.01)
+    joints = [np.stack(list(motion.joints().values())) for motion in (whole, parts)]
+    apart = np.linalg.norm(joints[0] - joints[1], axis=-1)
+    assert np.median(apart) < 0.003 and np.max(apart) < 0.03
+    ratio = parts.report.landmarks_std / whole.report.landmarks_std
+    assert 0.8 < np.median(ratio) < 1.25
+
+
+# Centimetres of one person by habits of the five others; without habits elbows are 6.6 off.
+MOST = {
+    "three": {"elbow": 5.5, "shoulder": 5.0, "hip": 6.0, "knee": 9.5},
+    "five": {"elbow": 5.5, "shoulder": 5.0, "hip": 6.0, "knee": 5.0},
+}
+
+
+@pytest.mark.parametrize("markers", ["three", "five"])
+def test_a_walker_is_tracked_by_what_five_others_do(recordings, markers):
+    """Plug-in Gait's joint centres."""
+    people = sorted((recordings / "people").glob("person_*"))
+    habits = learned([walks(folder) for folder in people if folder.name != "person_03"])
+    file = recordings / "people" / "person_03" / f"recording_straight_{markers}_height.toml"
+    figures = dict(zip(FIGURES, measure(file, habits), strict=True))
+    assert figures["acceleration, x"] < 1.3
+    for joint, most in MOST[markers].items():
+        assert figures[f"{joint}, cm"] < most, joint
+        assert figures[f"{joint} within, %"] > 65, joint
