@@ -66,6 +66,16 @@ def failures(
     return sentences
 
 
+def best(runs: Sequence[Iterable[Metric]]) -> list[Metric]:
+    """Each figure of several runs at its best: interruptions only ever make one worse."""
+    kept: dict[str, Metric] = {}
+    for metric in (metric for run in runs for metric in run):
+        other = kept.setdefault(metric.name, metric)
+        if worsening(metric, other) < 0:
+            kept[metric.name] = metric
+    return list(kept.values())
+
+
 def medians(runs: Sequence[Iterable[Metric]]) -> list[Metric]:
     """Each ratio that all runs have, with its median."""
     by_name = [{m.name: m for m in run if m.unit == RATIO} for run in runs]

@@ -14,7 +14,7 @@ from bench import gate
 from bench.clock import Span, interleaved, ratio, start_up, timed
 from bench.footage import Footage, at_size
 from bench.image_chain import SIDE, image_chain
-from bench.metrics import Metric, read_json, stage_metrics, table, write_json
+from bench.metrics import OF_OTHERS, Metric, read_json, stage_metrics, table, write_json
 from jaxmocap.capture.video import open_video
 from jaxmocap.geometry.cameras import project
 
@@ -60,6 +60,16 @@ def test_a_ratio_that_was_not_measured_fails_unless_its_rival_is_missing():
     assert gate.failures([SLOWER], [SLOWER, rival], skipped=["mink"]) == []
 
 
+def test_a_ratio_fails_where_it_is_worse_in_each_of_several_runs():
+    runs = [
+        [with_value(SLOWER, 9.0), with_value(FASTER, 10.0)],
+        [with_value(SLOWER, 2.0), with_value(FASTER, 12.0)],
+    ]
+    assert gate.best(runs) == [with_value(SLOWER, 2.0), with_value(FASTER, 12.0)]
+    (message,) = gate.failures(gate.best(runs), [SLOWER, FASTER])
+    assert message.startswith(f"{FASTER.name}: 12")
+
+
 def test_the_baseline_keeps_ratios_only_and_each_mode_by_itself(tmp_path):
     path = tmp_path / "baseline.json"
     gate.write_baseline("quick", [SLOWER, Metric("step", 3.0, "ms")], path)
@@ -74,7 +84,7 @@ def test_the_committed_baseline_holds_ratios_with_room_for_chance(mode):
     names = [metric.name for metric in committed]
     assert len(set(names)) == len(names) and "step_over_image_chain" in names
     for metric in committed:
-        assert metric.unit == gate.RATIO and metric.value > 0 and 0 < metric.tolerance <= 1
+        assert metric.unit == gate.RATIO and metric.value > 0 and 0 < metric.tolerance <= OF_OTHERS
         assert metric.direction in ("lower", "higher")
 
 
