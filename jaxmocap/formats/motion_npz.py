@@ -41,13 +41,7 @@ _SKELETON_FIELDS = (
 )
 # And of its tree.
 _TREE_FIELDS = ("bones", "parents", "joints", "dof_bones")
-_REPORT_FIELDS = (
-    "marker_errors",
-    "arm_costs",
-    "swivels",
-    "landmarks_std",
-    "from_prior",
-)
+_REPORT_FIELDS = ("marker_errors", "arm_costs", "swivels", "landmarks_std", "from_prior")
 _STAGE_PREFIX = "milliseconds."
 
 # Beyond these no number is a person's: metres from the origin, metres of a bone, kilograms,

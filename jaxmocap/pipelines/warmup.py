@@ -142,9 +142,7 @@ def first_half_second(recording: Recording) -> Recording:
         name = recording.path or recording.name
         raise InputError(name, "no marker was measured beside the video")
     return replace(
-        recording,
-        times=recording.times[chosen],
-        positions_world=recording.positions_world[chosen],
+        recording, times=recording.times[chosen], positions_world=recording.positions_world[chosen]
     )
 
 

@@ -30,11 +30,7 @@ def add_board(parser: argparse.ArgumentParser, required: bool) -> None:
         help="inner corners",
     )
     parser.add_argument(
-        "--square",
-        metavar="M",
-        type=positive_number,
-        required=required,
-        help="its side, metres",
+        "--square", metavar="M", type=positive_number, required=required, help="its side, metres"
     )
     parser.add_argument(
         "--charuco",

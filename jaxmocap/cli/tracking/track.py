@@ -8,12 +8,7 @@ import argparse
 
 from jaxmocap.cli.command import Command
 from jaxmocap.cli.option_types import add_up, positive_number
-from jaxmocap.cli.recording_options import (
-    add_cameras,
-    add_settings,
-    recording_of,
-    settings_of,
-)
+from jaxmocap.cli.recording_options import add_cameras, add_settings, recording_of, settings_of
 from jaxmocap.cli.reporting import exit_code, report
 
 

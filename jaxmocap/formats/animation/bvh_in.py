@@ -15,12 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.formats.animation.bvh import LONGEST_STEP_S, UNITS
-from jaxmocap.formats.armatures.armature import (
-    MAX_DEPTH,
-    MAX_JOINTS,
-    MAX_ROTATIONS,
-    Armature,
-)
+from jaxmocap.formats.armatures.armature import MAX_DEPTH, MAX_JOINTS, MAX_ROTATIONS, Armature
 from jaxmocap.formats.armatures.joint_names import end_of
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import numbered_lines

@@ -41,10 +41,7 @@ ALWAYS_ALLOWED_FRAMES = 10_000
 
 
 def write_animation(
-    path: str | Path,
-    motion: Motion,
-    surface: Surface | None = None,
-    texture: bytes | None = None,
+    path: str | Path, motion: Motion, surface: Surface | None = None, texture: bytes | None = None
 ) -> str | None:
     """Write a motion to a .bvh or .glb file, by its suffix; joints have the format's usual names.
 

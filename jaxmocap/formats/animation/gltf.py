@@ -77,10 +77,7 @@ def _texture(binary: BinaryChunk, mesh: SkinnedMesh) -> dict[str, Any]:
     if mesh.texture is None:
         return {}
     view = binary.add_bytes(mesh.texture)
-    return {
-        "images": [{"bufferView": view, "mimeType": "image/png"}],
-        "textures": [{"source": 0}],
-    }
+    return {"images": [{"bufferView": view, "mimeType": "image/png"}], "textures": [{"source": 0}]}
 
 
 def _check_keys(path: str | Path, times: np.ndarray) -> None:

@@ -97,10 +97,7 @@ def read_sections(path: str | Path) -> dict[str, Any]:
 
 
 def camera_of(
-    path: str | Path,
-    sections: Mapping[str, Any],
-    name: str,
-    origin_world: np.ndarray | None = None,
+    path: str | Path, sections: Mapping[str, Any], name: str, origin_world: np.ndarray | None = None
 ) -> Camera:
     """The camera of one section; the others need not be complete, nor placed.
 

@@ -10,13 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.body.surfaces.morphing import (
-    WEIGHTINGS,
-    Driver,
-    Morphing,
-    Transition,
-    morphing_of,
-)
+from jaxmocap.body.surfaces.morphing import WEIGHTINGS, Driver, Morphing, Transition, morphing_of
 from jaxmocap.body.surfaces.surface import Patch
 from jaxmocap.body.tree import Tree
 from jaxmocap.formats.files.short_repr import comma_list, short_repr

@@ -18,13 +18,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.skeleton import (
-    JOINT_CENTRES,
-    LANDMARKS,
-    Skeleton,
-    scale_to_height,
-    with_wrists,
-)
+from jaxmocap.body.skeleton import JOINT_CENTRES, LANDMARKS, Skeleton, scale_to_height, with_wrists
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr

@@ -109,10 +109,7 @@ def _check_count(path: str | Path, declared: str, rows: int) -> None:
 
 
 def write_trc(
-    path: str | Path,
-    times: np.ndarray,
-    points: dict[str, np.ndarray],
-    rate: float | None = None,
+    path: str | Path, times: np.ndarray, points: dict[str, np.ndarray], rate: float | None = None
 ) -> None:
     """Write a TRC file in metres; missing markers are empty cells.
 

@@ -70,10 +70,7 @@ class DetectedVideo(NamedTuple):
 
 
 def detect_keypoints(
-    recording: Recording,
-    detector: Detector,
-    folder: Path,
-    progress: Progress | bool | None = None,
+    recording: Recording, detector: Detector, folder: Path, progress: Progress | bool | None = None
 ) -> list[DetectedVideo]:
     """Detect in every frame of every video, and write what was found.
 

@@ -25,10 +25,7 @@ from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, model_folder, model_from, write_model
 from jaxmocap.pipelines.silhouettes.person import Person, with_model
-from jaxmocap.pipelines.silhouettes.track import (
-    SilhouetteResult,
-    track_silhouettes,
-)
+from jaxmocap.pipelines.silhouettes.track import SilhouetteResult, track_silhouettes
 from jaxmocap.pipelines.silhouettes.writing import VIDEO_KINDS, write_into
 from jaxmocap.pipelines.summary import frames_per_second
 from jaxmocap.pipelines.writing import MOTION, MOTION_FILES

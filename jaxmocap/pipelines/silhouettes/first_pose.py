@@ -73,9 +73,7 @@ def morphing_for(
 
 
 def start_pose(
-    recording: Recording,
-    at: tuple[float, float, float] | None = None,
-    body: str = Settings.body,
+    recording: Recording, at: tuple[float, float, float] | None = None, body: str = Settings.body
 ) -> Pose:
     """The first pose.
 

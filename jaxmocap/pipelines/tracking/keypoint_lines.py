@@ -13,12 +13,7 @@ import numpy as np
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import landmark_rows
-from jaxmocap.capture.keypoints import (
-    Keypoints,
-    marked_landmarks,
-    open_keypoints,
-    select_person,
-)
+from jaxmocap.capture.keypoints import Keypoints, marked_landmarks, open_keypoints, select_person
 from jaxmocap.capture.timeline import Timeline
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.evidence.keypoints import SightLines, lines_of_sight
