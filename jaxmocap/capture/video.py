@@ -23,7 +23,7 @@ from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import regular_file
 from jaxmocap.formats.recordings.recording import VideoSource
-from jaxmocap.formats.time_series.tables import SampleLabels, check_times
+from jaxmocap.formats.time_series.tables import check_times
 from jaxmocap.geometry.cameras import Camera
 
 TimedImage = tuple[float, np.ndarray | None]
@@ -243,7 +243,7 @@ class MemoryVideo(FrameSource):
                 f"found {len(images)} images of sizes {sorted(shapes)} for {len(self.times)} "
                 "times, expected one image of the same size for each",
             )
-        check_times(name, self.times, SampleLabels("frame"))
+        check_times(name, self.times, "frame")
         height, width = shapes.pop()
         self.size = (width, height)
 

@@ -104,9 +104,14 @@ def convert_file(
             what it should.
     """
     conversion = _Conversion(Path(source), Path(target), options or ConversionOptions())
+    options = conversion.options
     kinds = [path.suffix.lower() for path in (conversion.source, conversion.target)]
     if kinds[1] == CALIBRATION_SUFFIX:
-        return _convert_calibration(conversion)
+        for name in ("names", "rate", "body", "angles", "up"):
+            if getattr(options, name) is not None:
+                raise InputError(conversion.source, f"--{name} does not apply to a calibration")
+        chosen = options.unit, options.source_up, options.size
+        return convert_calibration(conversion.source, conversion.target, *chosen)
     for path, kind in zip((conversion.source, conversion.target), kinds, strict=True):
         if kind not in (*MARKER_SUFFIXES, *MOTION_SUFFIXES):
             expected = ", ".join((*MARKER_SUFFIXES, *MOTION_SUFFIXES))
@@ -151,17 +156,6 @@ def _check_options(conversion: _Conversion, source: str, target: str) -> None:
     if source == ".mot" and options.body is None:
         problem = "holds angles without bones: name a file with the same body"
         raise InputError(conversion.source, f"{problem} (--body motion.npz)")
-
-
-def _convert_calibration(conversion: _Conversion) -> list[str]:
-    """Another system's calibration made into ours; InputError for an option about other files."""
-    options = conversion.options
-    for name in ("names", "rate", "body", "angles", "up"):
-        if getattr(options, name) is not None:
-            raise InputError(conversion.source, f"--{name} does not apply to a calibration")
-    return convert_calibration(
-        conversion.source, conversion.target, options.unit, options.source_up, options.size
-    )
 
 
 def _read_markers(conversion: _Conversion) -> Markers:

@@ -24,7 +24,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.json_text import parse_json
 from jaxmocap.formats.files.short_repr import comma_list, short_repr
 from jaxmocap.formats.files.writing import replacing
-from jaxmocap.formats.time_series.tables import SampleLabels, check_times
+from jaxmocap.formats.time_series.tables import check_times
 
 VERSION = 2
 # What a file holds of the skeleton; the rest follows from the joints' names.
@@ -118,15 +118,14 @@ def save_motion(path: str | Path, motion: Motion) -> None:
         arrays |= {f"{_STAGE_PREFIX}{stage}": times for stage, times in report.milliseconds.items()}
         arrays["report.markers"] = np.array(report.markers, str)
         arrays["report.statuses"] = json.dumps(report.statuses)
-        arrays["report.settings"] = json.dumps(report.settings, default=_as_json)
+        # Arrays as lists; what else JSON has no word for as text.
+        arrays["report.settings"] = json.dumps(
+            report.settings,
+            default=lambda value: value.tolist() if hasattr(value, "tolist") else str(value),
+        )
     with replacing(path) as temporary, temporary.open("wb") as file:
         plain = {name: np.asarray(value) for name, value in arrays.items()}
         np.savez_compressed(file, **plain)  # type: ignore[arg-type]
-
-
-def _as_json(value: Any) -> Any:
-    """Arrays as lists; what else JSON has no word for as text."""
-    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def load_motion(path: str | Path) -> Motion:
@@ -147,7 +146,7 @@ def load_motion(path: str | Path) -> Motion:
     times = np.asarray(poses["times"], float)
     if not len(times):
         raise InputError(path, "times: found no sample, expected at least one")
-    check_times(path, times, SampleLabels("sample"))
+    check_times(path, times, "sample")
     _check_units(path, "pose.quaternion", poses["pose.quaternion"])
     parts: list[Any] = [poses[f"pose.{name}"] for name in Pose._fields]
     report = _report(file, len(times)) if "report.markers" in file.names else None
@@ -232,12 +231,18 @@ def _report(file: NpzArrays, count: int) -> Report:
             raise InputError(
                 file.path, f"{short_repr(name)}: expected a stage's name after the point"
             )
+    statuses = _statuses(file.path, str(arrays["report.statuses"]), count)
+    text = str(arrays["report.settings"])
+    settings = parse_json(file.path, text, _MAX_SETTINGS_CHARACTERS, allow_nan=True)
+    if not isinstance(settings, dict):
+        problem = f"found {short_repr(settings)}, expected a JSON table"
+        raise InputError(file.path, f"report.settings: {problem}")
     return Report(
         markers=tuple(arrays["report.markers"].tolist()),
         **{name: arrays[f"report.{name}"] for name in _REPORT_FIELDS},
-        statuses=_statuses(file.path, str(arrays["report.statuses"]), count),
+        statuses=statuses,
         milliseconds={name.removeprefix(_STAGE_PREFIX): array for name, array in spent.items()},
-        settings=_settings(file.path, str(arrays["report.settings"])),
+        settings=settings,
     )
 
 
@@ -251,12 +256,3 @@ def _statuses(path: str | Path, text: str, count: int) -> tuple[tuple[str, ...],
             listed = short_repr(sentences)
             raise InputError(path, f"report.statuses[{i}]: found {listed}, expected sentences")
     return tuple(map(tuple, lists))
-
-
-def _settings(path: str | Path, text: str) -> dict[str, Any]:
-    settings = parse_json(path, text, _MAX_SETTINGS_CHARACTERS, allow_nan=True)
-    if not isinstance(settings, dict):
-        raise InputError(
-            path, f"report.settings: found {short_repr(settings)}, expected a JSON table"
-        )
-    return settings

@@ -50,16 +50,12 @@ def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
         raise BeyondFormatError(path, f"BVH holds no {rate:g} frames per second")
     scale = 1 / UNITS[unit]
     # The tip of a limb is an end site, unless it turns itself.
-    tips = {j for j in armature.ends if armature.parents[j] >= 0 and _is_still(armature, j)}
+    tips = {j for j in armature.ends if armature.parents[j] >= 0
+            and np.abs(armature.rotations[:, j] - np.eye(3)).max() < 1e-9}  # fmt: skip
     order: list[int] = []
     lines = ["HIERARCHY", *_joint_lines(path, armature, tips, scale, order)]
     lines += ["MOTION", f"Frames: {len(armature.times)}", f"Frame Time: {1 / rate:.10f}"]
     write_lines(path, lines, _rows(armature, order, scale))
-
-
-def _is_still(armature: Armature, joint: int) -> bool:
-    """Whether a joint is never rotated."""
-    return bool(np.abs(armature.rotations[:, joint] - np.eye(3)).max() < 1e-9)
 
 
 def _rows(armature: Armature, order: list[int], scale: float) -> Iterator[str]:

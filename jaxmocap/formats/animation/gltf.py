@@ -52,46 +52,35 @@ def write_gltf(
     origin = local_origin(armature.positions)
     armature = replace(armature, positions=armature.positions - origin)
     motion = hold_across_gaps(armature)
-    _check_keys(path, motion.times)
+    times = motion.times
+    if not (np.diff((times - times[0]).astype(np.float32)) > 0).all():
+        problem = f"glTF holds times in single precision, in which samples within {np.ptp(times):g}"
+        raise BeyondFormatError(path, f"{problem} s fall together")
     mesh = limb_mesh(armature) if mesh is None else mesh
     binary, joints = BinaryChunk(), list(range(len(armature.names)))
     body = {"name": "body", "mesh": 0, "skin": 0}
+    material: dict[str, Any] = {"baseColorTexture": {"index": 0}}
+    if mesh.texture is None:
+        material = {"baseColorFactor": SKIN_COLOUR}
+    material |= {"metallicFactor": 0.0, "roughnessFactor": 0.8}
     document = {
         "asset": {"version": "2.0", "generator": f"jaxmocap {jaxmocap.__version__}"},
         "scene": 0,
         "scenes": [{"nodes": [0, len(joints)]}],
         "nodes": [*_nodes(armature), body],
         "meshes": [{"name": "body", "primitives": [_primitive(binary, mesh)]}],
-        "materials": [{"pbrMetallicRoughness": _material(mesh), "doubleSided": True}],
+        "materials": [{"pbrMetallicRoughness": material, "doubleSided": True}],
         "skins": [{"joints": joints, "skeleton": 0, "inverseBindMatrices": binary.add(mesh.bind)}],
     }
     if not still:
         animation = _animation(binary, motion)
         animation["extras"] |= {"origin": origin.tolist()} if origin.any() else {}
         document["animations"] = [animation]
-    write_document(path, document | _texture(binary, mesh), binary)
-
-
-def _texture(binary: BinaryChunk, mesh: SkinnedMesh) -> dict[str, Any]:
-    """The document's entries for the mesh's texture; none without one."""
-    if mesh.texture is None:
-        return {}
-    view = binary.add_bytes(mesh.texture)
-    return {"images": [{"bufferView": view, "mimeType": "image/png"}], "textures": [{"source": 0}]}
-
-
-def _check_keys(path: str | Path, times: np.ndarray) -> None:
-    """BeyondFormatError unless each key of (T,) times is later than the one before, as it must."""
-    if not (np.diff((times - times[0]).astype(np.float32)) > 0).all():
-        problem = f"glTF holds times in single precision, in which samples within {np.ptp(times):g}"
-        raise BeyondFormatError(path, f"{problem} s fall together")
-
-
-def _material(mesh: SkinnedMesh) -> dict[str, Any]:
-    dull = {"metallicFactor": 0.0, "roughnessFactor": 0.8}
     if mesh.texture is not None:
-        return {"baseColorTexture": {"index": 0}} | dull
-    return {"baseColorFactor": SKIN_COLOUR} | dull
+        view = binary.add_bytes(mesh.texture)
+        document["images"] = [{"bufferView": view, "mimeType": "image/png"}]
+        document["textures"] = [{"source": 0}]
+    write_document(path, document, binary)
 
 
 def _nodes(armature: Armature) -> list[dict[str, Any]]:

@@ -51,7 +51,10 @@ def read_gltf(path: str | Path) -> Armature:
     animation = document["animations"][0]
     accessors = Accessors(document, content)
     curves = _curves(document, accessors, animation, set(joints))
-    times = _merged_times([curve.times for curve in curves.values()])
+    # All times that any channel has.
+    inputs = {id(curve.times): curve.times for curve in curves.values()}
+    times = np.unique(np.concatenate(list(inputs.values())))
+    times = times[np.concatenate([[True], np.diff(times) > SAME_TIME_S])]
     if len(times) * len(joints) > MAX_ROTATIONS:
         problem = f"found {len(times)} samples of {len(joints)} joints"
         raise animation.error(f"{problem}, expected at most {MAX_ROTATIONS} orientations")
@@ -162,26 +165,15 @@ def _curves(
         mode = sampler["interpolation"].choice(["LINEAR", "STEP"], "LINEAR")
         times = sampler["input"].index(document["accessors"])
         if times not in keys:
-            keys[times] = _keys(accessors, times, sampler["input"])
+            found = keys[times] = accessors.read(times, ())
+            if not len(found) or not (np.diff(found) > 0).all() or np.abs(found).max() > LATEST_S:
+                problem = f"found times of keys that do not ascend within {LATEST_S:g} s"
+                raise sampler["input"].error(problem)
         output = sampler["output"].index(document["accessors"])
         curves[node, path] = _Curve(keys[times], output, mode == "STEP", sampler)
     if not curves:
         raise InputError(document.path, "the first animation moves no joint")
     return curves
-
-
-def _keys(accessors: Accessors, accessor: int, part: JsonPart) -> np.ndarray:
-    """(K,) seconds."""
-    times = accessors.read(accessor, ())
-    if not len(times) or not (np.diff(times) > 0).all() or np.abs(times).max() > LATEST_S:
-        raise part.error(f"found times of keys that do not ascend within {LATEST_S:g} s")
-    return times
-
-
-def _merged_times(inputs: Sequence[np.ndarray]) -> np.ndarray:
-    """All times that any channel has."""
-    times = np.unique(np.concatenate(list({id(keys): keys for keys in inputs}.values())))
-    return times[np.concatenate([[True], np.diff(times) > SAME_TIME_S])]
 
 
 def _joint_motion(
@@ -202,7 +194,9 @@ def _joint_motion(
     for j, (node, parent) in enumerate(zip(joints, parents, strict=True)):
         part = nodes[node]
         rest_position, R_rest = _rest_pose(part)
-        _check_scale(accessors, part, curves.get((node, "scale")))
+        scale = curves.get((node, "scale"))
+        if scale and np.abs(scale.values(accessors, 3) - 1).max() > MAX_SCALE_ERROR:
+            raise part.error(f"joint {_name(part)} is scaled, which is not read")
         local_positions = _positions_at(
             accessors, curves.get((node, "translation")), times, rest_position
         )
@@ -241,11 +235,6 @@ def _rest_pose(node: JsonPart) -> tuple[np.ndarray, np.ndarray]:
     if np.linalg.det(R) < 0 or np.abs(R @ R.T - np.eye(3)).max() > _MAX_SHEAR:
         raise node["matrix"].error("found a matrix that mirrors or shears, expected a rotation")
     return position, Rotation.from_matrix(R).as_matrix()
-
-
-def _check_scale(accessors: Accessors, node: JsonPart, curve: _Curve | None) -> None:
-    if curve is not None and np.abs(curve.values(accessors, 3) - 1).max() > MAX_SCALE_ERROR:
-        raise node.error(f"joint {_name(node)} is scaled, which is not read")
 
 
 def _positions_at(

@@ -188,15 +188,15 @@ def _skeleton_of(
     skeleton: Skeleton, armature: Armature, index: Mapping[str, int], path: str | Path
 ) -> Skeleton:
     """Our skeleton with an armature's lengths and directions."""
-    rest, parents = (
-        rest_orientations(skeleton),
-        dict(zip(*_joints_and_parents(skeleton), strict=True)),
-    )
+    rest = rest_orientations(skeleton)
+    joints, parents = joint_tree(skeleton)
+    parent_of = {joint: joints[p] if p >= 0 else None
+                 for joint, p in zip(joints, parents, strict=True)}  # fmt: skip
+    by_index = {j: joint for joint, j in index.items()}
     lengths, directions = np.array(skeleton.lengths, float), np.array(skeleton.directions, float)
     bone_vectors: dict[int, np.ndarray] = {}
     for joint, j in index.items():
-        above = armature.parents[j]
-        if parents[joint] != (None if above < 0 else _joint_name(index, above)):
+        if parent_of[joint] != by_index.get(armature.parents[j]):
             raise InputError(
                 path, f"not our skeleton: {short_name(armature.names[j])} hangs on another joint"
             )
@@ -218,15 +218,6 @@ def _skeleton_of(
         lengths=jnp.asarray(lengths, float),
         directions=jnp.asarray(directions, float),
     )
-
-
-def _joints_and_parents(skeleton: Skeleton) -> tuple[tuple[str, ...], list[str | None]]:
-    joints, parents = joint_tree(skeleton)
-    return joints, [joints[parent] if parent >= 0 else None for parent in parents]
-
-
-def _joint_name(index: Mapping[str, int], joint: int) -> str | None:
-    return next((name for name, j in index.items() if j == joint), None)
 
 
 def hinge_angles(skeleton: Skeleton, dofs: list[int], R: np.ndarray) -> np.ndarray:

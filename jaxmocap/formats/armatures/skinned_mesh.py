@@ -44,7 +44,10 @@ class SkinnedMesh:
 
 def limb_mesh(armature: Armature) -> SkinnedMesh:
     """The limbs in the rest pose, each carried by the joint where it begins."""
-    rest = joint_positions(_rest_sample(armature))[0]
+    # One sample of the rest pose, the root at the origin.
+    still = np.tile(np.eye(3), (1, len(armature.names), 1, 1))
+    at_rest = replace(armature, times=np.zeros(1), positions=np.zeros((1, 3)), rotations=still)
+    rest = joint_positions(at_rest)[0]
     vertices, normals, triangles, carriers, count = [], [], [], [], 0
     for j, parent in enumerate(armature.parents):
         reach = armature.offsets[j]
@@ -68,9 +71,3 @@ def limb_mesh(armature: Armature) -> SkinnedMesh:
         np.tile([1.0, 0, 0, 0], (count, 1)),
         bind,
     )
-
-
-def _rest_sample(armature: Armature) -> Armature:
-    """One sample of the rest pose, the root at the origin."""
-    still = np.tile(np.eye(3), (1, len(armature.names), 1, 1))
-    return replace(armature, times=np.zeros(1), positions=np.zeros((1, 3)), rotations=still)

@@ -43,9 +43,12 @@ def read(source: Source) -> SourceCalibration | None:
     if len(files) > MAX_CAMERAS:
         problem = f"found {len(files)} cameras, expected at most {MAX_CAMERAS}"
         raise InputError(source.path, problem)
-    cameras = [_camera(path, _unpickled(path)) for path in files]
-    if source.pickled is not None:
-        cameras = [_camera(source.path, source.pickled)]
+    cameras = [] if source.pickled is None else [_camera(source.path, source.pickled)]
+    for path in files:
+        content = read_bytes(path, MAX_PICKLE_BYTES)
+        if content[:1] != FIRST_BYTE:
+            raise InputError(path, "not a pickle of protocol 2 or later")
+        cameras.append(_camera(path, read_plain_pickle(path, content)))
     if not cameras:
         return None
     upside_down = cameras[0][1].entries["rotation"][1][1] < 0
@@ -53,13 +56,6 @@ def read(source: Source) -> SourceCalibration | None:
     return SourceCalibration(
         cameras, "mm", up, assumed_up=f"the checkerboard stands on end, {side}"
     )
-
-
-def _unpickled(path: Path) -> Any:
-    content = read_bytes(path, MAX_PICKLE_BYTES)
-    if content[:1] != FIRST_BYTE:
-        raise InputError(path, "not a pickle of protocol 2 or later")
-    return read_plain_pickle(path, content)
 
 
 def _camera(path: Path, table: Any) -> tuple[str, TomlTable]:

@@ -105,10 +105,6 @@ _FUNCTIONS = {
 }
 
 
-def _empty_dict(unpickler: Any) -> None:
-    unpickler.append(_TextKeys())
-
-
 def _build(unpickler: Any) -> None:
     state, target = unpickler.stack.pop(), unpickler.stack[-1]
     if not isinstance(target, _Array | _Dtype):
@@ -125,7 +121,7 @@ class _Unpickler(pickle._Unpickler):
         else _refused(f"an instruction {each.name}")
         for each in pickletools.opcodes
     } | {
-        pickle.EMPTY_DICT[0]: _empty_dict,
+        pickle.EMPTY_DICT[0]: lambda unpickler: unpickler.append(_TextKeys()),
         pickle.BUILD[0]: _build,
         # Python's own makes room for as many bytes as a file states.
         pickle.BYTEARRAY8[0]: pickle._Unpickler.dispatch[pickle.BINBYTES8[0]],

@@ -112,7 +112,9 @@ def convert_calibration(
         assumed.append(f"assumed: lengths are in {calibration.unit} (--unit states otherwise)")
     if up is None and calibration.assumed_up:
         assumed.append(f"assumed: {calibration.assumed_up} (--source-up states otherwise)")
-        if not any(map(_is_upright, sections.values())):
+        rotations = Rotation.from_rotvec([each["rotation"] for each in sections.values()])
+        # Upright is where what the world has below appears further down in the picture.
+        if not (rotations.as_matrix()[:, 1, 2] < -LEAST_UPRIGHT).any():
             assumed.append("warning: no camera's picture is upright then, is another axis up?")
     write_sections(target, sections)
     return [
@@ -173,8 +175,3 @@ def _section(
         "rotation": Rotation.from_matrix(R_cam_source @ R_world_source.T).as_rotvec(),
         "translation": translation * in_metres,
     }
-
-
-def _is_upright(section: dict[str, Any]) -> bool:
-    """Does what the world has below appear further down in the picture?"""
-    return Rotation.from_rotvec(section["rotation"]).as_matrix()[1, 2] < -LEAST_UPRIGHT

@@ -111,7 +111,14 @@ def camera_of(
         InputError: no such section, or a field of it that is missing or does not fit.
     """
     fields = TomlTable(Path(path), f"[{name}]", pick_camera(path, sections, name))
-    return _camera(fields, np.zeros(3) if origin_world is None else origin_world)
+    lens = read_lens(fields)
+    R_cam_world, translation = read_place(fields)
+    # In double precision, before a camera has it in single.
+    translation = translation + R_cam_world @ (
+        np.zeros(3) if origin_world is None else origin_world
+    )
+    size = (lens.size[0], lens.size[1])
+    return Camera.create(size, lens.matrix, lens.distortions, R_cam_world, translation, lens.model)
 
 
 def read_intrinsics(path: str | Path, name: str) -> Intrinsics:
@@ -142,15 +149,6 @@ def pick_camera(path: str | Path, cameras: Mapping[str, _Section], name: str) ->
     return cameras[name]
 
 
-def _camera(fields: TomlTable, origin_world: np.ndarray) -> Camera:
-    lens = read_lens(fields)
-    R_cam_world, translation = read_place(fields)
-    # In double precision, before a camera has it in single.
-    translation = translation + R_cam_world @ origin_world
-    size = (lens.size[0], lens.size[1])
-    return Camera.create(size, lens.matrix, lens.distortions, R_cam_world, translation, lens.model)
-
-
 def read_place(
     fields: TomlTable, unit: str = "metres", farthest: float = FARTHEST_M
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -171,7 +169,13 @@ def read_place(
         if key not in fields:
             raise fields.error("", f"{key!r} is missing (jaxmocap calibrate extrinsics finds it)")
     translation = fields.array("translation", [(3,)], f"3 numbers in {unit}", farthest)
-    return _rotation(fields), translation
+    expected = "a Rodrigues vector of 3 numbers or a 3 × 3 rotation matrix"
+    rotation = fields.array("rotation", [(3,), (3, 3)], expected, LARGEST_ROTATION)
+    if rotation.ndim == 1:
+        return Rotation.from_rotvec(rotation).as_matrix(), translation
+    if not is_rotation(rotation):
+        raise fields.error("rotation", "found a 3 × 3 matrix that is not a rotation")
+    return Rotation.from_matrix(rotation).as_matrix(), translation
 
 
 def read_lens(fields: TomlTable) -> Intrinsics:
@@ -198,16 +202,6 @@ def check_one_kind(top: TomlTable, cameras: Mapping[str, Camera]) -> None:
     if fisheyes and others:
         problem = f"found fisheye lenses ({comma_list(fisheyes)}) beside ordinary ones"
         raise top.error("[[video]]", f"{problem} ({comma_list(others)}), expected one kind")
-
-
-def _rotation(fields: TomlTable) -> np.ndarray:
-    expected = "a Rodrigues vector of 3 numbers or a 3 × 3 rotation matrix"
-    rotation = fields.array("rotation", [(3,), (3, 3)], expected, LARGEST_ROTATION)
-    if rotation.ndim == 1:
-        return Rotation.from_rotvec(rotation).as_matrix()
-    if not is_rotation(rotation):
-        raise fields.error("rotation", "found a 3 × 3 matrix that is not a rotation")
-    return Rotation.from_matrix(rotation).as_matrix()
 
 
 def is_rotation(matrix: np.ndarray) -> bool:

@@ -35,7 +35,11 @@ def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
     """
     path = Path(path)
     entries = read_entries(path)
-    table = {"fisheye": _is_fisheye(entries)} | camera_table(path, entries, _NAMES)
+    # As OpenCV's calibration sample and ROS say so.
+    model = str(entries.get("distortion_model", "")).strip("\"'").lower()
+    flag = str(entries.get("fisheye_model", entries.get("fisheye", "0"))).lower()
+    fisheye = model in ("equidistant", "fisheye", "kannala_brandt") or flag in ("1", "true")
+    table = {"fisheye": fisheye} | camera_table(path, entries, _NAMES)
     if "matrix" not in table:
         raise InputError(path, "found no camera_matrix, expected a calibration in OpenCV's YAML")
     name = entries.get("camera_name", "")
@@ -92,20 +96,12 @@ def read_entries(path: Path) -> dict[str, Any]:
         elif not bare[0].isspace() and not bare.startswith(("-", "]")):
             shown = bare.strip()[:40]
             raise InputError(path, f"line {number}: found {shown!r}, expected OpenCV's YAML")
-    return {key: _joined(value) for key, value in entries.items()}
-
-
-def _joined(value: dict[str, list[str]] | list[str]) -> dict[str, str] | str:
-    if isinstance(value, dict):
-        return {key: " ".join(lines) for key, lines in value.items()}
-    return " ".join(value)
-
-
-def _is_fisheye(entries: dict[str, Any]) -> bool:
-    """Does the file say so, as OpenCV's calibration sample and ROS do?"""
-    model = str(entries.get("distortion_model", "")).strip("\"'").lower()
-    flag = str(entries.get("fisheye_model", entries.get("fisheye", "0"))).lower()
-    return model in ("equidistant", "fisheye", "kannala_brandt") or flag in ("1", "true")
+    return {
+        key: " ".join(value)
+        if isinstance(value, list)
+        else {inner: " ".join(lines) for inner, lines in value.items()}
+        for key, value in entries.items()
+    }
 
 
 def _number_or_text(text: Any) -> Any:

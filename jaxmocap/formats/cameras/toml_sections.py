@@ -29,26 +29,23 @@ def replace_entries(text: str, section: str | Sequence[str], entries: Mapping[st
     """
     names = (section,) if isinstance(section, str) else tuple(section)
     header = f"[{'.'.join(map(toml_key, names))}]"
-    old, blocks = tomllib.loads(text), _sections(text)
+    table: Any = tomllib.loads(text)
+    alone: dict[str, Any] = {}
+    for name in reversed(names):
+        alone = {name: alone}
+    blocks = _sections(text)
     for i, block in enumerate(blocks):
-        if _begins_section(block, names):
+        if _begins_with(block, alone):
             blocks[i] = _with_entries(block, entries)
             break
     else:
-        if _has_table(old, names):
+        for name in names:
+            table = table.get(name) if isinstance(table, Mapping) else None
+        if table is not None:
             raise ValueError(f"is not written as {header} on a line of its own")
-        blocks = [*_ending_blank(blocks), _with_entries(f"{header}\n", entries)]
+        before = "".join(blocks).rstrip("\n")
+        blocks = [f"{before}\n\n" if before else "", _with_entries(f"{header}\n", entries)]
     return "".join(blocks)
-
-
-def _has_table(top: Mapping[str, Any], names: Sequence[str]) -> bool:
-    """Whether a table is there, by its names from the top down."""
-    table: Any = top
-    for name in names:
-        if not isinstance(table, Mapping) or name not in table:
-            return False
-        table = table[name]
-    return True
 
 
 def replace_entries_of_each(
@@ -67,7 +64,7 @@ def replace_entries_of_each(
     tables, changed = tomllib.loads(text).get(array, []), []
     blocks, found = _sections(text), 0
     for block in blocks:
-        if _begins_array(block, array):
+        if _begins_with(block, {array: [{}]}):
             block, found = _with_entries(block, entries(tables[found])), found + 1
         changed.append(block)
     if found != len(tables):
@@ -75,16 +72,10 @@ def replace_entries_of_each(
     return "".join(changed)
 
 
-def _begins_array(block: str, array: str) -> bool:
-    """Does a block begin with the header of a table of exactly that array?"""
+def _begins_with(block: str, tables: Mapping[str, Any]) -> bool:
+    """Does a block begin with a header that alone stands for these tables?"""
     header = block.lstrip().split("\n")[0]
-    return header.startswith("[[") and tomllib.loads(header) == {array: [{}]}
-
-
-def _ending_blank(blocks: list[str]) -> list[str]:
-    """Blocks that end with an empty line, so that a section can follow."""
-    text = "".join(blocks).rstrip("\n")
-    return [text, "\n\n"] if text else []
+    return header.startswith("[") and tomllib.loads(header) == tables
 
 
 def _sections(text: str) -> list[str]:
@@ -101,14 +92,6 @@ def _statements(text: str) -> list[str]:
     """A valid text cut before every line that is not within a value of several lines."""
     starts = statement_starts(text)
     return [text[start:end] for start, end in zip(starts, [*starts[1:], None], strict=True)]
-
-
-def _begins_section(block: str, names: Sequence[str]) -> bool:
-    """Does a block begin with the header of exactly that section?"""
-    header, expected = block.lstrip().split("\n")[0], {}
-    for name in reversed(names):
-        expected = {name: expected}
-    return header.startswith("[") and tomllib.loads(header) == expected
 
 
 def _with_entries(block: str, entries: Mapping[str, Any]) -> str:

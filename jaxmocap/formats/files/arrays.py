@@ -178,22 +178,18 @@ class NpzArrays:
             for size, length in zip(sizes, shape, strict=True)
         )
         if not fits or any(size < 0 for size in shape):
-            raise self._error(
-                name, f"found shape {short_repr(shape)}, expected {self._expected(stated)}"
-            )
+            # Dimensions, and what their names stand for.
+            fixed = [
+                f"{each} = {self._sizes[each][0]} as in {short_name(self._sizes[each][1])}"
+                for each in dict.fromkeys(map(str, stated.shape))
+                if each in self._sizes
+            ]
+            expected = f"({', '.join(map(str, stated.shape))})"
+            expected += f" with {', '.join(fixed)}" if fixed else ""
+            raise self._error(name, f"found shape {short_repr(shape)}, expected {expected}")
         for each, length in zip(stated.shape, shape, strict=True):
             if isinstance(each, str) and each != "*":
                 self._sizes.setdefault(each, (length, name))
-
-    def _expected(self, stated: ArraySpec) -> str:
-        """Dimensions, and what their names stand for."""
-        fixed = [
-            f"{each} = {self._sizes[each][0]} as in {short_name(self._sizes[each][1])}"
-            for each in dict.fromkeys(map(str, stated.shape))
-            if each in self._sizes
-        ]
-        names = ", ".join(map(str, stated.shape))
-        return f"({names})" + (f" with {', '.join(fixed)}" if fixed else "")
 
     def _check_size(self, name: str, header: _Header, stated: ArraySpec) -> None:
         """Against the bytes that are there, and against what all arrays may take."""
@@ -244,20 +240,15 @@ class NpzArrays:
             bad = (bad & ~infinite) if stated.allow_infinity else (bad | infinite)
             bad &= ~np.isnan(array) if stated.allow_nan else True
         if bad.any():
-            self._refuse_value(name, array, bad, stated)
-
-    def _refuse_value(
-        self, name: str, array: np.ndarray, bad: np.ndarray, stated: ArraySpec
-    ) -> None:
-        index = np.unravel_index(int(bad.argmax()), bad.shape)
-        place = f"[{', '.join(str(int(i)) for i in index)}]" if index else ""
-        bounds = [
-            f"{word} {bound:g}"
-            for word, bound in (("from", stated.low), ("to", stated.high))
-            if math.isfinite(bound)
-        ]
-        expected = " ".join([f"expected {stated.kind}", *bounds])
-        raise self._error(f"{name}{place}", f"found {array[index]}, {expected}")
+            index = np.unravel_index(int(bad.argmax()), bad.shape)
+            place = f"[{', '.join(str(int(i)) for i in index)}]" if index else ""
+            bounds = [
+                f"{word} {bound:g}"
+                for word, bound in (("from", stated.low), ("to", stated.high))
+                if math.isfinite(bound)
+            ]
+            expected = " ".join([f"expected {stated.kind}", *bounds])
+            raise self._error(f"{name}{place}", f"found {array[index]}, {expected}")
 
     def _check_texts(self, name: str, array: np.ndarray, stated: ArraySpec) -> None:
         codes = np.ascontiguousarray(array).reshape(-1).view(np.uint32)

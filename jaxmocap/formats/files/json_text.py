@@ -44,13 +44,22 @@ def parse_json(
         parts = text.count(b"[") + text.count(b"{")
     if parts > max_parts:
         raise InputError(path, f"found JSON of {parts} parts, expected at most {max_parts}")
+    too_deep = f"JSON nested too deeply, expected at most {MAX_LEVELS} levels"
     try:
         value = json.loads(text, parse_constant=None if allow_nan else _refuse)
     except RecursionError:
-        raise InputError(path, _too_deep()) from None
+        raise InputError(path, too_deep) from None
     except ValueError as error:
         raise InputError(path, f"holds no readable JSON ({_reason(error)})") from None
-    _check_depth(path, value)
+    # Level by level: a loop that calls itself would end where Python's calls do.
+    level, depth = [value], 0
+    while level:
+        depth += 1
+        if depth > MAX_LEVELS:
+            raise InputError(path, too_deep)
+        inside = (each.values() if isinstance(each, dict) else each for each in level
+                  if isinstance(each, dict | list))  # fmt: skip
+        level = [each for values in inside for each in values if isinstance(each, dict | list)]
     return value
 
 
@@ -65,19 +74,3 @@ def _reason(error: ValueError) -> str:
         return "found bytes that are not UTF-8 text"
     text = str(error)
     return "a number of thousands of digits" if "integer string conversion" in text else text
-
-
-def _check_depth(path: str | Path, value: Any) -> None:
-    """Level by level: a loop that calls itself would end where Python's calls do."""
-    level, depth = [value], 0
-    while level:
-        depth += 1
-        if depth > MAX_LEVELS:
-            raise InputError(path, _too_deep())
-        inside = (each.values() if isinstance(each, dict) else each for each in level
-                  if isinstance(each, dict | list))  # fmt: skip
-        level = [each for values in inside for each in values if isinstance(each, dict | list)]
-
-
-def _too_deep() -> str:
-    return f"JSON nested too deeply, expected at most {MAX_LEVELS} levels"

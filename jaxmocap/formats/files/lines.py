@@ -56,12 +56,24 @@ def _blocks(path: str | Path, most: int) -> Iterator[list[str]]:
     number, rest = 0, ""
     with open_regular(path, most) as file:
         text = io.TextIOWrapper(file, "utf-8-sig", errors="surrogateescape")
-        while block := _read(path, text):
+        while True:
+            try:
+                block = text.read(_BLOCK_CHARACTERS)
+            except OSError as error:
+                raise InputError(path, f"cannot be read ({error.strerror})") from None
+            if not block:
+                break
             # A file of the system may be endless and say that it is empty.
             if (most := most - len(block)) < 0:
                 raise InputError(path, "found a file that does not end")
             block = rest + block
-            _check(path, number, block)
+            if match := _NOT_TEXT.search(block):
+                line = number + block.count("\n", 0, match.start()) + 1
+                is_binary = match[0] == "\0"
+                what = (
+                    "binary data, expected text" if is_binary else "bytes that are not UTF-8 text"
+                )
+                raise InputError(path, f"line {line}: found {what}")
             *lines, rest = block.split("\n")
             if len(rest) > MAX_LINE_CHARACTERS:
                 problem = (
@@ -71,22 +83,6 @@ def _blocks(path: str | Path, most: int) -> Iterator[list[str]]:
             yield lines
             number += len(lines)
     yield [rest]
-
-
-def _read(path: str | Path, text: io.TextIOWrapper) -> str:
-    try:
-        return text.read(_BLOCK_CHARACTERS)
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})") from None
-
-
-def _check(path: str | Path, number: int, block: str) -> None:
-    """InputError where something is no text; ``number`` lines stand before the block."""
-    if match := _NOT_TEXT.search(block):
-        line = number + block.count("\n", 0, match.start()) + 1
-        is_binary = match[0] == "\0"
-        what = "binary data, expected text" if is_binary else "bytes that are not UTF-8 text"
-        raise InputError(path, f"line {line}: found {what}")
 
 
 def read_lines(path: str | Path, max_bytes: int = MAX_SMALL_FILE_BYTES) -> list[str]:

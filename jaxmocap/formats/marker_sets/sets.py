@@ -117,7 +117,15 @@ def read_set(fields: TomlTable, labels: Sequence[str], skeleton: Skeleton) -> Ma
         problem = f"none of the markers of {name} is in the file, found {comma_list(labels)}"
         raise fields.error("set", problem)
     factor = _size(skeleton)
-    entries = {by_marker[m]: _entry(markers[m], factor) for m in used if m in by_marker}
+    entries = {
+        by_marker[m]: {
+            "bone": markers[m]["bone"],
+            "at": markers[m]["at"],
+            "offset": [factor * each for each in markers[m]["offset"]],
+        }
+        for m in used
+        if m in by_marker
+    }
     left = [*(m for m in markers if not fits[m]), *unused]
     return MarkerSet(
         name,
@@ -125,11 +133,6 @@ def read_set(fields: TomlTable, labels: Sequence[str], skeleton: Skeleton) -> Ma
         tuple(m for m in used if m not in by_marker),
         tuple(by_marker[m] for m in left if m in by_marker and m not in skipped),
     )
-
-
-def _entry(entry: dict[str, Any], factor: float) -> dict[str, Any]:
-    offset = [factor * each for each in entry["offset"]]
-    return {"bone": entry["bone"], "at": entry["at"], "offset": offset}
 
 
 def _size(skeleton: Skeleton) -> float:

@@ -80,23 +80,18 @@ def write_opensim(path: str | Path, motion: Motion) -> list[str]:
     is_measured = np.isfinite(np.asarray(motion.poses.quaternion, float).sum(-1))
     if not is_measured.any():
         raise InputError(path, "no sample has a pose, and OpenSim has no missing values")
-    columns = opensim_coordinates(_samples(motion, is_measured))
+    parts = (np.asarray(part, float)[is_measured] for part in motion.poses)
+    poses, times = Pose(*parts), motion.times[is_measured]  # type: ignore[arg-type]
+    columns = opensim_coordinates(replace(motion, times=times, poses=poses, report=None))
     degrees = {
         name: values if name in _ROOT[3:] else np.degrees(values)
         for name, values in columns.items()
     }
-    steps = write_table(Path(path), motion.times[is_measured], degrees)
+    steps = write_table(Path(path), times, degrees)
     sentences = ["left out: neck and clavicles, which OpenSim's model does not have"]
     if missing := int((~is_measured).sum()):
         sentences.append(f"left out: {missing} samples without a pose, which OpenSim cannot read")
     return sentences + steps
-
-
-def _samples(motion: Motion, chosen: np.ndarray) -> Motion:
-    """A motion's samples where (T,) booleans are true."""
-    parts = (np.asarray(part, float)[chosen] for part in motion.poses)
-    poses = Pose(*parts)  # type: ignore[arg-type]
-    return replace(motion, times=motion.times[chosen], poses=poses, report=None)
 
 
 def opensim_coordinates(motion: Motion) -> dict[str, np.ndarray]:
@@ -106,7 +101,8 @@ def opensim_coordinates(motion: Motion) -> dict[str, np.ndarray]:
         motion: whose samples all have a pose.
     """
     skeleton = motion.skeleton
-    R_pelvis_bone = R_BONE_ISB.T @ _bone_turns(motion) @ R_BONE_ISB
+    turns = body_turns(skeleton, np.asarray(motion.poses.angles, float))
+    R_pelvis_bone = R_BONE_ISB.T @ turns @ R_BONE_ISB
     R_file_pelvis = (
         R_WORLD_OF_UP[Y_UP].T @ matrices(np.asarray(motion.poses.quaternion, float)) @ R_BONE_ISB
     )
@@ -143,10 +139,6 @@ def opensim_coordinates(motion: Motion) -> dict[str, np.ndarray]:
     return {name: columns[name] for name in COORDINATES}
 
 
-def _bone_turns(motion: Motion) -> np.ndarray:
-    return body_turns(motion.skeleton, np.asarray(motion.poses.angles, float))
-
-
 def _bone(skeleton: Skeleton, bone: str, side: str) -> int:
     return skeleton.tree.bone(f"{bone}_{side}")
 
@@ -169,20 +161,14 @@ def _limb_turns(
                                                 ("humerus", "radius"))]  # fmt: skip
     R_base = np.eye(3) if is_leg else R_thorax.swapaxes(-1, -2)
     R_near, R_far = (_mirrored(R_base @ R_pelvis_bone[:, bone], side) for bone in bones)
-    along, beyond = (
-        R @ _mirrored_direction(skeleton, bone, side)
-        for R, bone in zip((R_near, R_far), bones, strict=True)
-    )
+    directions = np.asarray(skeleton.directions, float)[bones] @ R_BONE_ISB
+    directions = directions @ MIRROR if side == "l" else directions
+    along, beyond = R_near @ directions[0], R_far @ directions[1]
     hinge = R_near[..., 2] * (-1.0 if is_leg else 1.0)
     across = np.cross(along, beyond)
     angle, normal = limb.bent(np.arctan2((across * hinge).sum(-1), (along * beyond).sum(-1)))
     ours, models = _frames(along, hinge), _frames(np.broadcast_to(limb.near, along.shape), normal)
     return ours @ models.swapaxes(-1, -2), angle
-
-
-def _mirrored_direction(skeleton: Skeleton, bone: int, side: str) -> np.ndarray:
-    direction = R_BONE_ISB.T @ np.asarray(skeleton.directions, float)[bone]
-    return MIRROR @ direction if side == "l" else direction
 
 
 def _frames(along: np.ndarray, normal: np.ndarray) -> np.ndarray:

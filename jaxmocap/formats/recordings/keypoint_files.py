@@ -102,8 +102,11 @@ def read_keypoint_frames(file: Path) -> Iterator[KeypointFrame]:
         return
     names, where = None, ""
     if isinstance(content, dict) and "instance_info" in content:
-        names, where = _names(content.get("meta_info")), "instance_info"
-        content = content["instance_info"]
+        # The points' names in MMPose's description of its model, where there is one.
+        by_id = _entry(content.get("meta_info"), "keypoint_id2name")
+        if isinstance(by_id, dict) and by_id:
+            names = tuple(str(by_id.get(str(i), "")) for i in range(len(by_id)))
+        content, where = content["instance_info"], "instance_info"
     if not isinstance(content, list):
         expected = "'people' (OpenPose), 'instance_info' or a list (MMPose)"
         raise InputError(file, f"found no key points, expected {expected}")
@@ -125,14 +128,6 @@ def _number_in_name(file: Path) -> int:
     if match is None or int(match[0]) > LARGEST_FRAME_NUMBER:
         raise InputError(file, "found no frame number in its name, such as in cam_000123.json")
     return int(match[0])
-
-
-def _names(meta: Any) -> tuple[str, ...] | None:
-    """The points' names in MMPose's description of its model, where there is one."""
-    by_id = _entry(meta, "keypoint_id2name")
-    if not isinstance(by_id, dict) or not by_id:
-        return None
-    return tuple(str(by_id.get(str(i), "")) for i in range(len(by_id)))
 
 
 def _people(file: Path, people: Any) -> list[np.ndarray]:

@@ -69,11 +69,6 @@ def landmark_indices(points: Sequence[str]) -> dict[str, int]:
     return {LANDMARK_OF[name]: i for i, name in enumerate(points) if name in LANDMARK_OF}
 
 
-def models_of_count(count: int) -> tuple[str, ...]:
-    """The models with that many points."""
-    return tuple(name for name, points in MODELS.items() if len(points) == count)
-
-
 def model_by_faces(pixels_xy: np.ndarray, models: Sequence[str]) -> str | None:
     """Which of two models the points are of, by how compact the face is.
 

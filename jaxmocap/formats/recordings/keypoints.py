@@ -22,12 +22,7 @@ from jaxmocap.formats.recordings.keypoint_files import (
     json_files,
     read_keypoint_frames,
 )
-from jaxmocap.formats.recordings.keypoint_models import (
-    MODELS,
-    landmark_indices,
-    model_by_faces,
-    models_of_count,
-)
+from jaxmocap.formats.recordings.keypoint_models import MODELS, landmark_indices, model_by_faces
 
 # Of everybody in all frames, 0.4 GB: half an hour of four people with 25 points at 60 Hz.
 MAX_POINTS = 16_000_000
@@ -115,8 +110,11 @@ def check_keypoint_count(path: str | Path, frames: int, people: int, landmarks: 
 
 def _frames(path: Path) -> Iterator[KeypointFrame]:
     """All frames of all files, as many as fit into memory."""
+    files = json_files(path) if is_folder(path) else [regular_file(path)]
+    if not files:
+        raise InputError(path, "found no .json file, expected one per frame or one for the video")
     total = 0
-    for file in _files(path):
+    for file in files:
         for frame in read_keypoint_frames(file):
             total += _OVERHEAD_POINTS + sum(
                 _OVERHEAD_POINTS + len(person) for person in frame.people
@@ -124,16 +122,6 @@ def _frames(path: Path) -> Iterator[KeypointFrame]:
             if total > MAX_POINTS:
                 raise InputError(file, f"found more than {MAX_POINTS} key points so far")
             yield frame
-
-
-def _files(path: Path) -> list[Path]:
-    """The JSON files that a path stands for."""
-    if not is_folder(path):
-        return [regular_file(path)]
-    files = json_files(path)
-    if not files:
-        raise InputError(path, "found no .json file, expected one per frame or one for the video")
-    return files
 
 
 def _stacked_people(path: Path, frames: Sequence[KeypointFrame]) -> np.ndarray:
@@ -168,7 +156,7 @@ def _names(
             problem = f"found {count} points, but {model or 'meta_info'} names {len(names)}"
             raise InputError(path, problem)
         return names, ()
-    fitting = models_of_count(count)
+    fitting = tuple(name for name, points in MODELS.items() if len(points) == count)
     if not fitting:
         models = ", ".join(f"{name} ({len(points)})" for name, points in MODELS.items())
         raise InputError(path, f"found {count} points, expected those of {models}")

@@ -12,7 +12,7 @@ radian weighs as much as ``lever`` metres, and every stage that takes markers ta
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -68,44 +68,36 @@ def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
     at = fields.number("at", 1.0)
     if not 0.0 <= at <= 1.0:
         raise fields.error("at", f"found {at:g}, expected a fraction between 0 and 1")
-    place = MarkerPlace(name, fields.text("bone"), at)
+    bone = fields.text("bone")
+    stated: dict[str, Any] = {}
     if "offset" in fields:
-        x, y, z = fields.array("offset", [(3,)], "3 numbers in metres", FARTHEST_OFFSET_M).tolist()
-        place = replace(place, offset=(x, y, z))
+        offset = fields.array("offset", [(3,)], "3 numbers in metres", FARTHEST_OFFSET_M)
+        stated["offset"] = tuple(offset.tolist())
     if "offset_in" in fields:
-        axes = fields.text("offset_in")
+        stated["offset_in"] = axes = fields.text("offset_in")
         if axes not in ("bone", "marker"):
-            raise fields.error(
-                "offset_in", f"found {short_repr(axes)}, expected 'bone' or 'marker'"
-            )
-        place = replace(place, offset_in=axes)
+            problem = f"found {short_repr(axes)}, expected 'bone' or 'marker'"
+            raise fields.error("offset_in", problem)
     if fields.entries.get("turn", False) is not False:
-        place = replace(place, orientation=_quaternion(fields))
+        quaternion = fields.array("turn", [(4,)], "a quaternion w, x, y, z, or false")
+        norm = float(np.linalg.norm(quaternion))
+        if abs(norm - 1) > 0.01:
+            raise fields.error("turn", f"found a quaternion of length {norm:g}, expected 1")
+        stated["orientation"] = tuple((quaternion / norm).tolist())
     if "lever" in fields:
-        lever = fields.number("lever", high=FARTHEST_OFFSET_M)
-        if place.orientation is None or not lever > 0.0:
+        stated["lever"] = lever = fields.number("lever", high=FARTHEST_OFFSET_M)
+        if "orientation" not in stated or not lever > 0.0:
             raise fields.error("lever", f"found {lever:g}, expected metres above 0 beside 'turn'")
-        place = replace(place, lever=lever)
-    return place
+    return MarkerPlace(name, bone, at, **stated)
 
 
-def check_bones(path: Path, places: Sequence[MarkerPlace], skeleton: Skeleton) -> None:
+def check_bones(path: str | Path, places: Sequence[MarkerPlace], skeleton: Skeleton) -> None:
     """InputError for a place on a bone that the skeleton does not have."""
     bones = skeleton.tree.bones
     for place in places:
         if place.bone not in bones:
             problem = f"unknown bone {short_repr(place.bone)}, expected one of {', '.join(bones)}"
             raise InputError(path, f"[markers.on] {short_name(place.name)}: {problem}")
-
-
-def _quaternion(fields: TomlTable) -> tuple[float, float, float, float]:
-    """The unit quaternion of ``orientation``."""
-    quaternion = fields.array("turn", [(4,)], "a quaternion w, x, y, z, or false")
-    norm = float(np.linalg.norm(quaternion))
-    if abs(norm - 1) > 0.01:
-        raise fields.error("turn", f"found a quaternion of length {norm:g}, expected 1")
-    w, x, y, z = (quaternion / norm).tolist()
-    return w, x, y, z
 
 
 def need_wrists(places: Sequence[MarkerPlace]) -> bool:

@@ -25,7 +25,6 @@ KEYS = {
 }
 # Radians, and metres, by a driver of 1.
 LARGEST_GAIN = {"joint": np.pi, "swelling": 0.3}
-SIDES = ("l", "r")
 
 
 def read_morphing(path: str | Path, tree: Tree, patches: tuple[Patch, ...]) -> Morphing:
@@ -48,11 +47,11 @@ def read_morphing(path: str | Path, tree: Tree, patches: tuple[Patch, ...]) -> M
     names = tuple(patch.name for patch in patches)
     for row in rows["joint"]:
         row.number("gain", None, -LARGEST_GAIN["joint"], LARGEST_GAIN["joint"])
-        _check_joints(row, tree, [row.text("name")], SIDES)
-        _check_driver(row, tree, SIDES)
+        _check_joints(row, tree, [row.text("name")], sided=True)
+        _check_driver(row, tree, sided=True)
     for row in rows["swelling"]:
         _check_swelling(row, names)
-        _check_driver(row, tree, SIDES)
+        _check_driver(row, tree, sided=True)
     morphing = morphing_of({kind: [row.entries for row in rows[kind]] for kind in KEYS})
     moves = tuple(_transition(row, tree, patches) for row in rows["transition"])
     morphing = Morphing(morphing.followers, morphing.swellings, moves)
@@ -70,26 +69,23 @@ def _rows(data: TomlTable, kind: str) -> list[TomlTable]:
     return [TomlTable(data.path, f"{kind} {k}", row, KEYS[kind]) for k, row in enumerate(rows, 1)]
 
 
-def _check_joints(row: TomlTable, tree: Tree, names: list[str], sides: tuple[str, ...]) -> None:
-    """InputError where the body has no such joint; with no side a name is a whole one."""
-    valid = tree.joints if not sides else _sided(tree)
+def _check_joints(row: TomlTable, tree: Tree, names: list[str], sided: bool) -> None:
+    """InputError where the body has no such joint; ``sided`` where names stand for both sides."""
+    valid = tree.joints
+    if sided:
+        left = [name.removesuffix("_l") for name in valid if name.endswith("_l")]
+        valid = tuple(name for name in left if f"{name}_r" in tree.joints)
     for name in names:
         if name not in valid:
             raise row.error("", f"no joint {short_repr(name)}, expected of {comma_list(valid)}")
 
 
-def _sided(tree: Tree) -> tuple[str, ...]:
-    """Joints that both sides have, without their sides."""
-    left = [name.removesuffix("_l") for name in tree.joints if name.endswith("_l")]
-    return tuple(name for name in left if f"{name}_r" in tree.joints)
-
-
-def _check_driver(row: TomlTable, tree: Tree, sides: tuple[str, ...]) -> Driver:
+def _check_driver(row: TomlTable, tree: Tree, sided: bool) -> Driver:
     """What steers a row, as it is written."""
     names: Any = row.required("steered_by")
     if not (isinstance(names, list) and len(names) in (1, 2) and set(map(type, names)) == {str}):
         raise row.error("steered_by", f"found {short_repr(names)}, expected one or two joints")
-    _check_joints(row, tree, names, sides)
+    _check_joints(row, tree, names, sided)
     weighting = row.text("weighting") if "weighting" in row else "linear"
     if weighting not in WEIGHTINGS:
         expected = f"expected of {comma_list(WEIGHTINGS)}"
@@ -115,7 +111,7 @@ def _check_swelling(row: TomlTable, patches: tuple[str, ...]) -> None:
 
 def _transition(row: TomlTable, tree: Tree, patches: tuple[Patch, ...]) -> Transition:
     """Another surface, which must correspond to the body's own."""
-    driver, file = _check_driver(row, tree, ()), row.file("to")
+    driver, file = _check_driver(row, tree, sided=False), row.file("to")
     to = load_surface(file, tree)
     if to.patches != patches:
         ours = comma_list(f"{p.name} {p.along} x {p.around}" for p in patches)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.cameras.video_sources import VideoSource, read_videos
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr
+from jaxmocap.formats.files.short_repr import comma_list, short_name
 from jaxmocap.formats.files.toml import TomlTable, read_toml, write_toml
 from jaxmocap.formats.marker_sets.placed_markers import PlacedMarkers, placed_markers
 from jaxmocap.formats.marker_sets.sets import SET_KEYS, MarkerSet
@@ -32,7 +32,7 @@ from jaxmocap.formats.recordings.rigid_bodies import with_rigid_sets
 from jaxmocap.formats.recordings.subject import subject_or_default
 from jaxmocap.formats.time_series.axes import read_axes, to_world
 from jaxmocap.formats.time_series.markers import read_markers
-from jaxmocap.formats.time_series.tables import Markers, SampleLabels, check_times
+from jaxmocap.formats.time_series.tables import Markers, check_times
 from jaxmocap.geometry.origin import local_origin
 
 
@@ -80,17 +80,10 @@ class Recording:
         if np.shape(self.positions_world) != expected:
             shape = np.shape(self.positions_world)
             raise InputError(where, f"marker positions: found shape {shape}, expected {expected}")
-        check_times(where, self.times, SampleLabels("marker sample"))
+        check_times(where, self.times, "marker sample")
         if self.places and not np.isfinite(self.positions_world).all(-1).any():
             raise InputError(where, "no marker has a position in any sample, all positions are NaN")
-        bones = self.skeleton.tree.bones
-        for place in self.places:
-            if place.bone not in bones:
-                raise InputError(
-                    where,
-                    f"[markers.on] {short_name(place.name)}: unknown bone "
-                    f"{short_repr(place.bone)}, expected one of {', '.join(bones)}",
-                )
+        check_bones(where, self.places, self.skeleton)
 
     def __repr__(self) -> str:
         """In one line."""
@@ -240,7 +233,16 @@ def _read_placed_markers(
     del all_markers
     for name in on.entries.keys() - set(available):
         raise on.error(name, f"no such marker in {file}, found {comma_list(available)}")
-    markers = _selected_markers(markers, tuple(entries))
+    columns = [markers.names.index(name) for name in entries]
+    orientations = None if markers.orientations is None else markers.orientations[:, columns]
+    markers = replace(
+        markers,
+        times=markers.times.copy(),
+        names=tuple(entries),
+        positions=markers.positions[:, columns],
+        residuals=None,
+        orientations=orientations,
+    )
     if markers.orientations is not None and np.linalg.det(R_world_file) < 0:
         raise fields.error(
             "to_world", "found a reflection, which leaves no orientation of a marker"
@@ -249,22 +251,6 @@ def _read_placed_markers(
     positions_world = to_world(R_world_file, markers.positions)
     markers = replace(markers, positions=positions_world, orientations=orientations)
     return markers, placed, filters
-
-
-def _selected_markers(markers: Markers, names: tuple[str, ...]) -> Markers:
-    """Those markers only, in that order."""
-    index = {name: i for i, name in enumerate(markers.names)}
-    columns = [index[name] for name in names]
-    orientations = None if markers.orientations is None else markers.orientations[:, columns]
-    positions = markers.positions[:, columns]
-    return replace(
-        markers,
-        times=markers.times.copy(),
-        names=names,
-        positions=positions,
-        residuals=None,
-        orientations=orientations,
-    )
 
 
 def _bone_points(

@@ -78,7 +78,14 @@ def read_subject(path: Path, where: str, table: Any, wrists: bool = False) -> Sk
     if "file" in rest:
         skeleton = _by_file(TomlTable(path, where, rest), usual)
         return with_wrists(skeleton) if fields.flag("wrists") else skeleton
-    skeleton = _by_height_or_static(TomlTable(path, where, rest))
+    chosen = [key for key in ("height", "static") if key in rest]
+    if len(chosen) != 1:
+        stated = " and ".join(chosen) or "none"
+        raise fields.error("", f"found {stated}, expected one of file, height, static")
+    if chosen == ["height"]:
+        skeleton = _by_height(TomlTable(path, where, rest, _HEIGHT_KEYS))
+    else:
+        skeleton = _by_static_trial(TomlTable(path, where, rest, _STATIC_KEYS))
     return with_wrists(skeleton) if usual else skeleton
 
 
@@ -105,17 +112,6 @@ def _by_file(fields: TomlTable, wrists: bool) -> Skeleton:
     if "file" in content:
         raise fields.error("file", f"{other} names yet another file, expected height or static")
     return read_subject(other, "", content, wrists)
-
-
-def _by_height_or_static(fields: TomlTable) -> Skeleton:
-    chosen = [key for key in ("height", "static") if key in fields]
-    path, where, table = fields.path, fields.where, fields.entries
-    if chosen == ["height"]:
-        return _by_height(TomlTable(path, where, table, _HEIGHT_KEYS))
-    if chosen == ["static"]:
-        return _by_static_trial(TomlTable(path, where, table, _STATIC_KEYS))
-    stated = " and ".join(chosen) or "none"
-    raise fields.error("", f"found {stated}, expected one of file, height, static")
 
 
 def _by_height(fields: TomlTable) -> Skeleton:

@@ -72,7 +72,12 @@ def load_surface(path: str | Path, tree: Tree) -> Surface:
     if sum_errors.max() > _SHARE_TOLERANCE:
         i = int(sum_errors.argmax())
         raise InputError(path, f"shares[{i}]: together {shares[i].sum():.4g}, expected 1")
-    index = _bones(path, arrays["bone_names"].tolist(), tree)
+    bone_names = arrays["bone_names"].tolist()
+    if unknown := [name for name in bone_names if name not in tree.bones]:
+        expected = comma_list(tree.bones)
+        problem = f"unknown bone {short_repr(unknown[0])}, expected {expected}"
+        raise InputError(path, f"bone_names: {problem}")
+    index = np.array([tree.bone(name) for name in bone_names], np.int32)
     if bones.max() >= len(index):
         problem = f"found {bones.max()}, expected an index below {len(index)}"
         raise InputError(path, f"bones: {problem}, of bone_names")
@@ -107,17 +112,6 @@ def _check_nodes(path: str | Path, sizes: np.ndarray, shape: tuple[int, ...]) ->
     if not 0 < shape[1] <= MAX_BONES_PER_NODE:
         problem = f"found {shape[1]} bones for each node"
         raise InputError(path, f"bones: {problem}, expected 1 to {MAX_BONES_PER_NODE}")
-
-
-def _bones(path: str | Path, names: list[str], tree: Tree) -> np.ndarray:
-    """(B,) where the named bones are in the tree."""
-    unknown = [name for name in names if name not in tree.bones]
-    if unknown:
-        expected = comma_list(tree.bones)
-        raise InputError(
-            path, f"bone_names: unknown bone {short_repr(unknown[0])}, expected {expected}"
-        )
-    return np.array([tree.bone(name) for name in names], np.int32)
 
 
 def _patches(path: str | Path, names: list[str], sizes: np.ndarray) -> tuple[Patch, ...]:

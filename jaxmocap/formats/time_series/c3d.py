@@ -97,7 +97,10 @@ def read_c3d(path: str | Path) -> Markers:
     count = file.residuals.shape[1]
     if count < declared:
         raise InputError(path, f"the header states {declared} frames, the file ends after {count}")
-    scale = _scale(path, file.unit)
+    if file.unit.lower() not in _UNITS:
+        expected = f"expected one of {', '.join(_UNITS)}"
+        raise InputError(path, f"POINT:UNITS: found {short_repr(file.unit)}, {expected}")
+    scale = _UNITS[file.unit.lower()]
     if not 0 < file.rate <= _MAX_RATE_HZ:
         problem = f"found {file.rate:g}, expected frames per second, up to {_MAX_RATE_HZ:g}"
         raise InputError(path, f"POINT:RATE: {problem}")
@@ -118,13 +121,8 @@ def _read(path: str | Path) -> _Content:
     60 files with some bytes changed).
     """
     regular_file(path)
-    command = [
-        sys.executable,
-        "-I",
-        c3d_process.__file__,
-        os.path.abspath(path),
-        str(MAX_MEMORY_BYTES),
-    ]
+    script = [sys.executable, "-I", c3d_process.__file__]
+    command = [*script, os.path.abspath(path), str(MAX_MEMORY_BYTES)]
     # Each further thread of its libraries would take addresses.
     alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     try:
@@ -168,14 +166,6 @@ def _declared_frames(path: str | Path) -> int:
     except (IndexError, struct.error):
         raise InputError(path, _DAMAGED) from None
     return last - first + 1
-
-
-def _scale(path: str | Path, unit: str) -> float:
-    """Metres per unit of the file."""
-    if unit.lower() not in _UNITS:
-        expected = ", ".join(_UNITS)
-        raise InputError(path, f"POINT:UNITS: found {short_repr(unit)}, expected one of {expected}")
-    return _UNITS[unit.lower()]
 
 
 def _labels(names: list[str]) -> list[str]:

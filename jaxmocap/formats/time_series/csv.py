@@ -56,22 +56,18 @@ def read_csv(path: str | Path) -> Markers:
     for i, first in enumerate(starts):
         if has_orientation[i]:
             quaternions = table[:, first + 3 : first + 7]
-            _check_lengths(path, names[i], quaternions, numbers)
+            lengths = np.linalg.norm(quaternions, axis=-1)
+            # What is missing is NaN, and no length.
+            wrong = np.flatnonzero(np.abs(lengths - 1) > 0.01)
+            if len(wrong):
+                problem = f"the quaternion of {short_repr(names[i])} has length"
+                raise InputError(
+                    path,
+                    f"line {numbers[wrong[0]]}: {problem} {lengths[wrong[0]]:.3g}, "
+                    "expected 1 (or four empty cells where it is missing)",
+                )
             orientations[:, i] = matrices(quaternions)
     return replace(markers, orientations=orientations)
-
-
-def _check_lengths(path: str | Path, name: str, quaternions: np.ndarray, lines: np.ndarray) -> None:
-    """InputError unless every one of (T, 4) quaternions that is not NaN is of length 1."""
-    lengths = np.linalg.norm(quaternions, axis=-1)
-    wrong = np.flatnonzero(np.abs(lengths - 1) > 0.01)
-    if len(wrong):
-        i = int(wrong[0])
-        raise InputError(
-            path,
-            f"line {lines[i]}: the quaternion of {short_repr(name)} has length {lengths[i]:.3g}, "
-            "expected 1 (or four empty cells where it is missing)",
-        )
 
 
 def _names(path: str | Path, header: str) -> tuple[list[str], list[bool]]:

@@ -28,7 +28,6 @@ from jaxmocap.formats.files.short_repr import comma_list, short_name
 from jaxmocap.formats.files.writing import write_lines
 from jaxmocap.formats.time_series.isb import isb_angles
 from jaxmocap.formats.time_series.tables import (
-    SampleLabels,
     check_names,
     check_times,
     declared_count,
@@ -76,19 +75,17 @@ def write_table(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray]
     table = np.stack(list(columns.values()), 1)
     rows = zip(times, row_texts(table, "\t", decimals=8, nan="NaN"), strict=True)
     write_lines(path, lines, (f"{time:.9f}\t{row}" for time, row in rows))
-    return list(_of_steps(times, {name: a for name, a in columns.items() if _is_angle(name)}))
-
-
-def _of_steps(times: np.ndarray, columns: Mapping[str, np.ndarray]) -> Iterator[str]:
-    steps = np.abs(np.diff(np.stack(list(columns.values()), 1), axis=0))
+    angles = {name: column for name, column in columns.items() if _is_angle(name)}
+    steps = np.abs(np.diff(np.stack(list(angles.values()), 1), axis=0))
     large = steps > LARGEST_STEP_DEG
-    if large.any():
-        sample, column = np.unravel_index(np.where(large, steps, 0.0).argmax(), steps.shape)
-        yield (
-            f"{list(columns)[column]} steps by {steps[sample, column]:.0f}° from "
-            f"{times[sample]:.2f} to {times[sample + 1]:.2f} s, the largest of "
-            f"{int(large.sum())} above {LARGEST_STEP_DEG}°"
-        )
+    if not large.any():
+        return []
+    sample, column = np.unravel_index(np.where(large, steps, 0.0).argmax(), steps.shape)
+    return [
+        f"{list(angles)[column]} steps by {steps[sample, column]:.0f}° from "
+        f"{times[sample]:.2f} to {times[sample + 1]:.2f} s, the largest of "
+        f"{int(large.sum())} above {LARGEST_STEP_DEG}°"
+    ]
 
 
 def read_mot(path: str | Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -106,14 +103,15 @@ def read_mot(path: str | Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         raise InputError(path, f"line {end + 1}: found no 'time' and names of columns")
     check_names(path, names, f"line {end + 1}", "column")
     table, numbers = parse_rows(path, ((i, line.split()) for i, line in lines), len(names))
-    check_times(path, table[:, 0], SampleLabels("line", numbers))
+    check_times(path, table[:, 0], "line", numbers)
     count = declared_count(declared := header.get("nrows", ""))
     if count is not None and count > len(table):
         problem = f"nRows is {short_name(declared)}, but the file ends after {len(table)}"
         raise InputError(path, problem)
     columns = dict(zip(names[1:], table[:, 1:].T, strict=True))
     if header["indegrees"] == "yes":
-        columns = {name: _radians(name, column) for name, column in columns.items()}
+        columns = {name: np.radians(column) if _is_angle(name) else column
+                   for name, column in columns.items()}  # fmt: skip
     return table[:, 0], columns
 
 
@@ -130,10 +128,6 @@ def _header(path: str | Path, lines: Iterator[tuple[int, str]]) -> tuple[dict[st
         key, equals, value = text.partition("=")
         header |= {key: value} if equals else {}
     raise InputError(path, "found no line 'endheader', which ends a MOT file's header")
-
-
-def _radians(name: str, column: np.ndarray) -> np.ndarray:
-    return np.radians(column) if _is_angle(name) else column
 
 
 def _is_angle(name: str) -> bool:

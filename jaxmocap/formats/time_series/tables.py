@@ -105,7 +105,12 @@ def parse_rows(
     if not numbers:
         raise InputError(path, "found no frames after the header")
     table, lines = np.frombuffer(values).reshape(-1, columns), np.frombuffer(numbers, np.int64)
-    _check_sizes(path, table, lines)
+    beyond = np.fmax(np.fmax.reduce(table), -np.fmin.reduce(table)) > LARGEST_NUMBER
+    if beyond.any():
+        column = int(beyond.argmax())
+        row = int((np.abs(table[:, column]) > LARGEST_NUMBER).argmax())
+        expected = f"expected a number within {LARGEST_NUMBER:g}"
+        raise InputError(path, f"line {lines[row]}: found '{table[row, column]:g}', {expected}")
     return table, lines
 
 
@@ -125,16 +130,6 @@ def _number(path: str | Path, line: int, cell: str) -> float:
         raise InputError(
             path, f"line {line}: found {short_repr(text)}, expected a number"
         ) from None
-
-
-def _check_sizes(path: str | Path, table: np.ndarray, lines: np.ndarray) -> None:
-    """InputError where a number of (T, C) is beyond any that is measured."""
-    beyond = np.fmax(np.fmax.reduce(table), -np.fmin.reduce(table)) > LARGEST_NUMBER
-    if beyond.any():
-        column = int(beyond.argmax())
-        row = int((np.abs(table[:, column]) > LARGEST_NUMBER).argmax())
-        expected = f"expected a number within {LARGEST_NUMBER:g}"
-        raise InputError(path, f"line {lines[row]}: found '{table[row, column]:g}', {expected}")
 
 
 def declared_count(text: str) -> int | None:
@@ -168,10 +163,17 @@ def make_markers(
             missing or does not follow the one before, a position that is nowhere on earth.
     """
     check_names(path, names, name_place)
-    labels = SampleLabels("line", lines) if len(lines) else SampleLabels("frame")
-    check_times(path, table[:, 0], labels)
+    labels = ("line", lines) if len(lines) else ("frame", range(len(table)))
+    check_times(path, table[:, 0], *labels)
     positions = table[:, 1:].reshape(len(table), -1, 3)
-    _check_positions(path, positions, names, labels)
+    beyond = np.fmax(np.fmax.reduce(positions), -np.fmin.reduce(positions)) > FARTHEST_M
+    if beyond.any():
+        marker, axis = np.argwhere(beyond)[0]
+        column = positions[:, marker, axis]
+        i = int((np.abs(column) > FARTHEST_M).argmax())
+        problem = f"{labels[0]} {labels[1][i]}: marker {short_repr(names[marker])} is at"
+        expected = f"expected a position within {FARTHEST_M:g} m"
+        raise InputError(path, f"{problem} {column[i]:g} m, {expected}")
     # A marker of which one coordinate is missing is missing; so is one at exactly 0.
     is_zero = ~positions.any(-1)
     positions[np.isnan(positions).any(-1) | is_zero] = np.nan
@@ -194,55 +196,39 @@ def check_names(path: str | Path, names: Sequence[str], place: str, kind: str = 
         earlier.add(name)
 
 
-def _check_positions(
-    path: str | Path, positions: np.ndarray, names: Sequence[str], labels: "SampleLabels"
+def check_times(
+    path: str | Path,
+    times: np.ndarray,
+    kind: str,
+    numbers: Sequence[int] | np.ndarray | None = None,
 ) -> None:
-    """InputError where a coordinate of (T, M, 3) is beyond any place on earth."""
-    highest, lowest = np.fmax.reduce(positions), np.fmin.reduce(positions)
-    beyond = np.fmax(highest, -lowest) > FARTHEST_M
-    if beyond.any():
-        marker, axis = np.argwhere(beyond)[0]
-        column = positions[:, marker, axis]
-        i = int((np.abs(column) > FARTHEST_M).argmax())
-        problem = f"{labels(i)}: marker {short_repr(names[marker])} is at {column[i]:g} m"
-        raise InputError(path, f"{problem}, expected a position within {FARTHEST_M:g} m")
-
-
-@dataclass(frozen=True)
-class SampleLabels:
-    """How messages name the samples of a file, such as ``line 12``.
-
-    Attributes:
-        kind: what they are called.
-        numbers: of the T samples; None counts from 0.
-    """
-
-    kind: str
-    numbers: Sequence[int] | np.ndarray | None = None
-
-    def __call__(self, i: int) -> str:
-        """The label of sample i."""
-        return f"{self.kind} {i if self.numbers is None else self.numbers[i]}"
-
-
-def check_times(path: str | Path, times: np.ndarray, labels: SampleLabels) -> None:
     """InputError unless every one of (T,) times is a number and later than the one before.
 
     Nor may they follow one another faster than any device measures.
+
+    Args:
+        path: for the message.
+        times: seconds.
+        kind: what messages call a sample, such as ``line``.
+        numbers: of the T samples; None counts from 0.
     """
+
+    def label(i: int) -> str:
+        return f"{kind} {i if numbers is None else numbers[i]}"
+
     if np.isnan(times).any():
-        raise InputError(path, f"{labels(int(np.isnan(times).argmax()))}: found no time")
+        raise InputError(path, f"{label(int(np.isnan(times).argmax()))}: found no time")
     late = np.abs(times) > LATEST_S
     if late.any():
         i = int(late.argmax())
         expected = f"expected one within {LATEST_S:g} s"
-        raise InputError(path, f"{labels(i)}: found a time of {times[i]:g} s, {expected}")
+        raise InputError(path, f"{label(i)}: found a time of {times[i]:g} s, {expected}")
     later = np.diff(times) > 0
     if not later.all():
         i = int((~later).argmax())
         raise InputError(
             path,
-            f"{labels(i + 1)}: time runs backwards, found {times[i + 1]:g} s after {times[i]:g} s",
+            f"{label(i + 1)}: time runs backwards, found {times[i + 1]:g} s after {times[i]:g} s",
         )
     if len(times) > 1 and (step := float(np.median(np.diff(times)))) < SHORTEST_STEP_S:
         expected = f"expected at least {SHORTEST_STEP_S:g} s"
@@ -275,11 +261,6 @@ def even_rate(path: str | Path, times: np.ndarray) -> float:
     # 60.000024 is what is left of 60 after rounding.
     rate = round(1 / step, 3)
     return rate if abs(rate * step - 1) * len(times) < 1e-3 else 1 / step
-
-
-def format_rows(values: np.ndarray) -> np.ndarray:
-    """Text cells of a float array, to the micrometre; empty where NaN."""
-    return np.where(np.isnan(values), "", np.char.mod("%.6f", values))
 
 
 def row_texts(values: np.ndarray, between: str, decimals: int = 6, nan: str = "") -> Iterator[str]:
@@ -317,7 +298,7 @@ def stack_points(
             raise ValueError("found an infinite position; missing ones are NaN")
     if not points or not len(times):
         raise InputError(path, "expected at least one marker and one sample to write")
-    check_times(path, times, SampleLabels("sample"))
+    check_times(path, times, "sample")
     check_names(path, tuple(points), "names to write")
     table = np.empty((len(times), 3 * len(points)))
     for i, positions in enumerate(points.values()):

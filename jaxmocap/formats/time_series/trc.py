@@ -48,11 +48,21 @@ def read_trc(path: str | Path) -> Markers:
     if len(head) < _HEADER_LINES:
         raise InputError(path, f"line {len(head)}: the file ends within its header")
     header = dict(zip(_cells(head[1]), _cells(head[2]), strict=False))
-    scale = _scale(path, header)
+    if "Units" not in header:
+        raise InputError(path, "line 2: found no 'Units' in the header")
+    scale = METRES_PER_UNIT.get((unit := header["Units"]).lower())
+    if scale is None:
+        expected = ", ".join(METRES_PER_UNIT)
+        problem = f"unknown unit {short_repr(unit)}, expected one of {expected}"
+        raise InputError(path, f"line 3: {problem}")
     names = _names(path, head[3], head[4])
     data = ((number, line.split("\t")) for number, line in lines)
     table, numbers = parse_rows(path, data, 2 + 3 * len(names))
-    _check_count(path, header.get("NumFrames", ""), len(table))
+    # A file that was cut off between two lines still says how long it was.
+    count = declared_count(declared := header.get("NumFrames", ""))
+    if count is not None and count > len(table):
+        problem = f"NumFrames is {short_name(declared)}, but the file ends after {len(table)}"
+        raise InputError(path, f"line 3: {problem} frames")
     table[:, 2:] *= scale
     markers = make_markers(path, table[:, 1:], numbers, names, "line 4")
     return replace(markers, rate=_rate(header))
@@ -60,18 +70,6 @@ def read_trc(path: str | Path) -> Markers:
 
 def _cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.split("\t")]
-
-
-def _scale(path: str | Path, header: dict[str, str]) -> float:
-    """Metres per unit of the file."""
-    if "Units" not in header:
-        raise InputError(path, "line 2: found no 'Units' in the header")
-    unit = header["Units"]
-    if unit.lower() not in METRES_PER_UNIT:
-        expected = ", ".join(METRES_PER_UNIT)
-        problem = f"unknown unit {short_repr(unit)}, expected one of {expected}"
-        raise InputError(path, f"line 3: {problem}")
-    return METRES_PER_UNIT[unit.lower()]
 
 
 def _rate(header: dict[str, str]) -> float | None:
@@ -99,13 +97,6 @@ def _names(path: str | Path, name_line: str, axis_line: str) -> list[str]:
             f"for the {len(names)} markers of line 4",
         )
     return names
-
-
-def _check_count(path: str | Path, declared: str, rows: int) -> None:
-    """A file that was cut off between two lines still says how long it was."""
-    if (count := declared_count(declared)) is not None and count > rows:
-        problem = f"NumFrames is {short_name(declared)}, but the file ends after {rows} frames"
-        raise InputError(path, f"line 3: {problem}")
 
 
 def write_trc(

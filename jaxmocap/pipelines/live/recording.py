@@ -40,7 +40,7 @@ from jaxmocap.formats.files.writing import (
 from jaxmocap.formats.recordings.marker_places import MarkerPlace
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.recordings.subject import DEFAULT_HEIGHT
-from jaxmocap.formats.time_series.tables import format_rows
+from jaxmocap.formats.time_series.tables import row_texts
 from jaxmocap.pipelines.live.files import GrowingVideo, LineFile
 from jaxmocap.pipelines.live.setup import LiveSetup
 
@@ -194,7 +194,8 @@ class LiveRecording:
             wxyz = quaternions(measurements.orientations_world)
             self._oriented |= np.isfinite(wxyz).all(-1)
         columns = np.hstack([columns, wxyz])
-        self._lines.add(",".join([f"{sample.time:.9f}", *format_rows(columns).ravel()]))
+        cells = next(row_texts(columns.reshape(1, -1), ","))
+        self._lines.add(f"{sample.time:.9f},{cells}")
 
     def _add_frame(self, frame: LiveFrame) -> None:
         if frame.camera not in self._videos:
