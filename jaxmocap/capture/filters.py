@@ -72,17 +72,11 @@ class Cleaning:
 
     def statuses(self, sample: int) -> tuple[str, ...]:
         """What was done to one sample."""
-        out = (
-            f"marker {n} was an outlier" for n in _selected_names(self.names, self.outliers[sample])
+        return tuple(
+            f"marker {self.names[i]} was {what}"
+            for what, samples in (("an outlier", self.outliers), ("filled in", self.filled))
+            for i in np.flatnonzero(samples[sample])
         )
-        filled = (
-            f"marker {n} was filled in" for n in _selected_names(self.names, self.filled[sample])
-        )
-        return (*out, *filled)
-
-
-def _selected_names(names: tuple[str, ...], chosen: np.ndarray) -> list[str]:
-    return [name for name, is_it in zip(names, chosen, strict=True) if is_it]
 
 
 def filter_markers(recording: Recording, causal: bool = False) -> tuple[Recording, Cleaning]:
@@ -115,8 +109,9 @@ def filter_markers(recording: Recording, causal: bool = False) -> tuple[Recordin
         positions = butterworth_low_pass(times, positions, filters.butterworth)
     if filters.one_euro is not None and "one_euro" in applied:
         positions = filter_one_euro(times, positions, OneEuro(filters.one_euro))
-    if unused := _unused_filters_warning(filters, causal):
-        warnings.append(unused)
+    if unused := ", ".join(active_filters(filters, not causal)):
+        which = "look ahead, which --causal does not" if causal else "is for live and --causal"
+        warnings.append(f"[markers.filters] {unused}: not used, {which}")
     cleaning = Cleaning(
         recording.marker_names, applied, outliers, filled, _is_missing(positions), tuple(warnings)
     )
@@ -129,15 +124,6 @@ def active_filters(filters: Filters, causal: bool) -> dict[str, Any]:
         return {"one_euro": filters.one_euro} if filters.one_euro else {}
     on = {"hampel": filters.hampel, "gaps": filters.gaps, "butterworth": filters.butterworth}
     return {name: value for name, value in on.items() if value}
-
-
-def _unused_filters_warning(filters: Filters, causal: bool) -> str:
-    """A sentence on filters that are on but not for this way of tracking."""
-    unused = [name for name in active_filters(filters, not causal)]
-    if not unused:
-        return ""
-    which = "look ahead, which --causal does not" if causal else "is for live and --causal"
-    return f"[markers.filters] {', '.join(unused)}: not used, {which}"
 
 
 def _is_missing(positions: np.ndarray) -> np.ndarray:
@@ -155,12 +141,8 @@ def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
         (T, M) booleans.
     """
     interval = median_interval(times)
-    half = (
-        max(HAMPEL_MIN_HALF_WINDOW, round(HAMPEL_HALF_WINDOW_S / interval))
-        if interval
-        else HAMPEL_MIN_HALF_WINDOW
-    )
-    half = min(half, HAMPEL_MAX_HALF_WINDOW)
+    half = round(HAMPEL_HALF_WINDOW_S / interval) if interval else 0
+    half = min(max(half, HAMPEL_MIN_HALF_WINDOW), HAMPEL_MAX_HALF_WINDOW)
     outliers = np.zeros(positions.shape[:2], bool)
     for marker in range(positions.shape[1]):
         path = np.pad(positions[:, marker], ((half, half), (0, 0)), constant_values=np.nan)

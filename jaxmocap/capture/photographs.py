@@ -76,19 +76,14 @@ def picture_of(path: str | Path, content: bytes) -> np.ndarray:
     if not 0 < width * height <= MAX_PIXELS:
         expected = f"expected up to {MAX_PIXELS / 1e6:g} million"
         raise InputError(path, f"found an image of {width} x {height} pixels, {expected}")
-    image = _decoded(content)
+    try:
+        with _silenced_decoders():
+            image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:
+        image = None
     if image is None:
         raise InputError(path, "is not an image that can be read, it is damaged")
     return np.asarray(image)
-
-
-def _decoded(content: bytes) -> np.ndarray | None:
-    """The picture, or None."""
-    try:
-        with _silenced_decoders():
-            return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
-    except cv2.error:
-        return None
 
 
 @contextmanager
@@ -107,6 +102,26 @@ def _silenced_decoders() -> Iterator[None]:
     finally:
         os.dup2(kept, _STANDARD_ERROR)
         os.close(kept)
+
+
+def read_empty_room(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """What a camera sees where nobody stands: (H, W, 3) BGR uint8.
+
+    Args:
+        path: of an image file.
+        size: width and height of the camera's video, pixels.
+
+    Raises:
+        InputError: no image, or one of another size: it must be the video's own picture.
+    """
+    picture = read_picture(path)
+    height, width = picture.shape[:2]
+    if (width, height) != tuple(size):
+        problem = (
+            f"found {width} × {height} pixels, expected {size[0]} × {size[1]} as the video has"
+        )
+        raise InputError(path, f"{problem}: a picture of the empty room by the same camera")
+    return picture
 
 
 def write_picture(path: str | Path, picture: np.ndarray) -> Path:

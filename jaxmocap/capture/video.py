@@ -108,7 +108,10 @@ class Video(FrameSource):
         self.size = _UNKNOWN_SIZE
         self._stamps, seconds = self._scan()
         self.times = seconds + offset
-        height, width = self._first_image().shape
+        images = (image for _, image in self.frames(luma=True) if image is not None)
+        if (first := next(images, None)) is None:
+            raise InputError(self.path, f"{NO_VIDEO}, none of its frames can be decoded")
+        height, width = first.shape
         self.size = (width, height)
 
     def _open(self) -> InputContainer:
@@ -118,17 +121,16 @@ class Video(FrameSource):
         except (FFmpegError, OSError, ValueError):
             raise InputError(self.path, NO_VIDEO) from None
         if not container.streams.video:
-            container.close()
-            raise InputError(self.path, f"{NO_VIDEO}, it has no video stream")
-        context = container.streams.video[0].codec_context
-        if context is None:
-            container.close()
-            raise InputError(self.path, f"{NO_VIDEO}, nothing decodes its video stream")
-        if context.width * context.height > MAX_PIXELS:
-            container.close()
+            problem = f"{NO_VIDEO}, it has no video stream"
+        elif (context := container.streams.video[0].codec_context) is None:
+            problem = f"{NO_VIDEO}, nothing decodes its video stream"
+        elif context.width * context.height > MAX_PIXELS:
             problem = f"found images of {context.width} × {context.height} pixels"
-            raise InputError(self.path, f"{problem}, expected up to {MAX_PIXELS / 1e6:.0f} million")
-        return container
+            problem += f", expected up to {MAX_PIXELS / 1e6:.0f} million"
+        else:
+            return container
+        container.close()
+        raise InputError(self.path, problem)
 
     def _scan(self) -> tuple[np.ndarray | None, np.ndarray]:
         """Presentation stamps of all frames in order, and seconds since the stream's start."""
@@ -164,12 +166,6 @@ class Video(FrameSource):
                 self.path, f"{problem}, expected within {MAX_DURATION_S / 86400:g} days"
             )
         return (stamps - start) * tick
-
-    def _first_image(self) -> np.ndarray:
-        for _, image in self.frames(luma=True):
-            if image is not None:
-                return image
-        raise InputError(self.path, f"{NO_VIDEO}, none of its frames can be decoded")
 
     def frames(self, luma: bool = False) -> Iterator[TimedImage]:
         """See ``FrameSource.frames``. The end of a truncated file yields None."""
@@ -252,18 +248,9 @@ class MemoryVideo(FrameSource):
         import cv2
 
         for time, image in zip(self.times, self.images, strict=True):
-            if image is None:
-                yield float(time), None
-            elif luma:
-                yield (
-                    float(time),
-                    image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY),
-                )
-            else:
-                yield (
-                    float(time),
-                    image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR),
-                )
+            if image is not None and (image.ndim == 2) != luma:
+                image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if luma else cv2.COLOR_GRAY2BGR)
+            yield float(time), image
 
 
 def open_video(source: VideoSource) -> FrameSource:

@@ -8,7 +8,7 @@ import argparse
 import os
 from collections.abc import Iterator
 from pathlib import Path, PurePath
-from typing import Any, NamedTuple
+from typing import Any
 
 from jaxmocap.formats.files.errors import FileError, InputError, printable
 from jaxmocap.formats.files.writing import check_target, write_text
@@ -20,18 +20,6 @@ _FILES = ("FILE", "FROM", "IMAGE", "IMAGE|VIDEO", "PERSON", "TO", "TRUTH.trc")
 _FOLDERS = ("CORPUS_DIR", "DIR")
 # Options whose value is a name or a file.
 _ALSO_FILES = ("--detector",)
-
-
-class Installation(NamedTuple):
-    """Where a shell looks for its script.
-
-    Attributes:
-        path: of the script.
-        activation: what to do, one sentence or several.
-    """
-
-    path: Path
-    activation: str
 
 
 class ShowCompletion(argparse.Action):
@@ -49,11 +37,13 @@ class InstallCompletion(argparse.Action):
     def __call__(self, parser, namespace, values, option_string=None):
         """Write it; the exit code is 2 where there is no such place, and 1 on a full disk."""
         try:
-            place = install_completion(parser, str(values) if values else current_shell())
+            path, activation = install_completion(
+                parser, str(values) if values else current_shell()
+            )
         except FileError as error:
             code = 2 if isinstance(error, InputError) else 1
             parser.exit(code, f"{parser.prog}: {printable(str(error))}\n")
-        print(f"written  {printable(str(place.path))}\n{place.activation}")
+        print(f"written  {printable(str(path))}\n{activation}")
         parser.exit()
 
 
@@ -86,8 +76,11 @@ def current_shell() -> str:
     return name
 
 
-def install_completion(parser: argparse.ArgumentParser, shell: str) -> Installation:
+def install_completion(parser: argparse.ArgumentParser, shell: str) -> tuple[Path, str]:
     """Write a shell's script into the user's own folder; a file of that name is replaced.
+
+    Returns:
+        The script, and what to do to activate it, one sentence or several.
 
     Args:
         parser: of all commands.
@@ -97,28 +90,28 @@ def install_completion(parser: argparse.ArgumentParser, shell: str) -> Installat
         InputError: the folder cannot be written to.
         OutputError: the file cannot be written, as on a full disk.
     """
-    place = installation(shell)
-    check_target(place.path)
-    write_text(place.path, completion_script(parser, shell) + "\n")
-    return place
+    path, activation = installation(shell)
+    check_target(path)
+    write_text(path, completion_script(parser, shell) + "\n")
+    return path, activation
 
 
-def installation(shell: str) -> Installation:
-    """Where a shell looks for the script of ``jaxmocap``, by the XDG folders."""
+def installation(shell: str) -> tuple[Path, str]:
+    """Where a shell looks for the script of ``jaxmocap``, by the XDG folders; its activation."""
     data = _folder("XDG_DATA_HOME", ".local", "share")
     match shell:
         case "bash":
             own = os.environ.get("BASH_COMPLETION_USER_DIR")
             path = (Path(own) if own else data / "bash-completion") / "completions" / "jaxmocap"
             text = "Open a new terminal. Without the package bash-completion, add this line to "
-            return Installation(path, f"{text}~/.bashrc:\n    source {printable(str(path))}")
+            return path, f"{text}~/.bashrc:\n    source {printable(str(path))}"
         case "zsh":
             path = data / "zsh" / "site-functions" / "_jaxmocap"
             lines = f"fpath=({printable(str(path.parent))} $fpath)\n    autoload -Uz compinit"
             text = "Add these lines to ~/.zshrc, and open a new terminal:\n    "
-            return Installation(path, f"{text}{lines} && compinit")
+            return path, f"{text}{lines} && compinit"
     path = _folder("XDG_CONFIG_HOME", ".config") / "fish" / "completions" / "jaxmocap.fish"
-    return Installation(path, "Open a new terminal.")
+    return path, "Open a new terminal."
 
 
 def _folder(variable: str, *default: str) -> Path:
@@ -136,9 +129,15 @@ def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
     """The script by which a shell completes the parser's commands, options, choices and files."""
     import shtab
 
+    # How shtab completes a value: files, files of one suffix, or folders, where it is any.
     for action in _actions(parser):
-        if (completed := _completed(action)) is not None:
-            action.complete = completed
+        name = action.metavar or ""
+        if name in _FOLDERS:
+            action.complete = shtab.DIRECTORY
+        elif name in _FILES or set(action.option_strings) & set(_ALSO_FILES):
+            action.complete = shtab.FILE
+        elif suffix := PurePath(name).suffix:
+            action.complete = shtab.glob(f"*{suffix}")
     return shtab.complete(parser, shell).rstrip("\n")
 
 
@@ -149,16 +148,3 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[Any]:
         if isinstance(action, argparse._SubParsersAction):
             for command in action.choices.values():
                 yield from _actions(command)
-
-
-def _completed(action: Any) -> dict[str, Any] | None:
-    """How shtab completes a value: files, files of one suffix, folders; None if it is none."""
-    import shtab
-
-    name = action.metavar or ""
-    if name in _FOLDERS:
-        return shtab.DIRECTORY
-    if name in _FILES or set(action.option_strings) & set(_ALSO_FILES):
-        return shtab.FILE
-    suffix = PurePath(name).suffix
-    return shtab.glob(f"*{suffix}") if suffix else None

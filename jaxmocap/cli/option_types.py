@@ -57,8 +57,8 @@ def names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",")]
 
 
-def numbers(count: int) -> Callable[[str], tuple[float, ...]]:
-    """Reads so many finite numbers between commas."""
+def numbers(count: int, expected: str | None = None) -> Callable[[str], tuple[float, ...]]:
+    """Reads so many finite numbers between commas; ``expected`` is their form, as in messages."""
 
     def read(text: str) -> tuple[float, ...]:
         try:
@@ -66,7 +66,9 @@ def numbers(count: int) -> Callable[[str], tuple[float, ...]]:
         except ValueError:
             values = ()
         if len(values) != count or not all(map(math.isfinite, values)):
-            raise argparse.ArgumentTypeError(f"found {text!r}, expected {count} numbers")
+            raise argparse.ArgumentTypeError(
+                f"found {text!r}, expected {expected or f'{count} numbers'}"
+            )
         return values
 
     return read
@@ -104,17 +106,6 @@ def charuco_markers(text: str) -> tuple[str, float]:
     """DICTIONARY,METRES of a ChArUco board's markers."""
     dictionary, _, side = text.partition(",")
     return dictionary.strip(), positive_number(side)
-
-
-def place_and_facing(text: str) -> tuple[float, float, float]:
-    """X,Y,FACING: metres, metres and degrees."""
-    try:
-        x, y, facing = map(float, text.split(","))
-        if not all(map(math.isfinite, (x, y, facing))):
-            raise ValueError
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"found {text!r}, expected X,Y,FACING") from None
-    return x, y, facing
 
 
 def add_up(parser: argparse.ArgumentParser, help_text: str) -> None:

@@ -10,7 +10,6 @@ command is interrupted, the interpreter would wait for what still compiles.
 import os
 import sys
 import threading
-import time
 from contextlib import suppress
 from typing import NoReturn
 
@@ -29,10 +28,7 @@ def end_process(code: int) -> NoReturn:
     if any(thread.daemon for thread in others):
         os._exit(code)
     if others and code > SIGNAL_EXIT_CODE:
-        threading.Thread(target=_end_after_wait, args=(code,), daemon=True).start()
+        timer = threading.Timer(LONGEST_WAIT_S, os._exit, (code,))
+        timer.daemon = True
+        timer.start()
     sys.exit(code)
-
-
-def _end_after_wait(code: int) -> None:
-    time.sleep(LONGEST_WAIT_S)
-    os._exit(code)

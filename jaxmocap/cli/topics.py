@@ -56,12 +56,9 @@ def _printed(topic: str) -> str:
 def contents() -> str:
     """Every topic with the title of its page."""
     width = max(map(len, TOPICS))
-    lines = [f"  {topic:{width}}  {_title(topic)}" for topic in TOPICS]
+    titles = (page(topic).partition("\n")[0].removeprefix("# ") for topic in TOPICS)
+    lines = [f"  {topic:{width}}  {title}" for topic, title in zip(TOPICS, titles, strict=True)]
     return "\n".join(["jaxmocap help TOPIC prints one of these pages:", "", *lines])
-
-
-def _title(topic: str) -> str:
-    return page(topic).partition("\n")[0].removeprefix("# ")
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

@@ -9,13 +9,13 @@ from typing import Any
 
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.calibration.static_trial import measured_bones
-from jaxmocap.capture.background_pictures import read_empty_room
 from jaxmocap.capture.checks.cameras import MarkerVisibility, check_recording, marker_visibility
 from jaxmocap.capture.checks.finding import Finding
 from jaxmocap.capture.checks.lengths import bone_list, check_stretched_arms
 from jaxmocap.capture.footage import open_unchecked
 from jaxmocap.capture.keypoints import open_keypoints
 from jaxmocap.capture.markers import median_interval
+from jaxmocap.capture.photographs import read_empty_room
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.marker_sets.sets import MarkerSet

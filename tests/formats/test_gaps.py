@@ -6,8 +6,7 @@ from moving_body import RATE, SAMPLES, moving_body, with_parts
 
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.animation.gltf_in import read_gltf
-from jaxmocap.formats.conversion.gaps import LONGEST_BRIDGED_S, is_gap
-from jaxmocap.formats.conversion.resampling import even_times
+from jaxmocap.formats.conversion.resampling import LONGEST_BRIDGED_S, even_times, is_gap
 from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import save_motion

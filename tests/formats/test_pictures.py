@@ -12,8 +12,12 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxmocap.capture.background_pictures import read_empty_room
-from jaxmocap.capture.photographs import is_picture_file, read_picture, write_picture
+from jaxmocap.capture.photographs import (
+    is_picture_file,
+    read_empty_room,
+    read_picture,
+    write_picture,
+)
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.picture_size import picture_size
 
@@ -101,7 +105,7 @@ def test_a_pipe_is_refused_before_anything_is_read(tmp_path):
 MEASURED = """
 import resource, sys
 from pathlib import Path
-from jaxmocap.capture.background_pictures import read_empty_room
+from jaxmocap.capture.photographs import read_empty_room
 from jaxmocap.formats.files.errors import InputError
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 try:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from bench.displaced import displaced
 from bench.segmentation import region_about_mask
-from jaxmocap.capture.background_pictures import read_empty_room
+from jaxmocap.capture.photographs import read_empty_room
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.images.background_model import Background, learn_background
 from jaxmocap.images.canvases import (

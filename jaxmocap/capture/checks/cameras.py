@@ -106,24 +106,19 @@ def marker_visibility(
 
 def project_to_pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
     """(N, 2) pixels of (N, 3) world points, in double precision; NaN behind the camera."""
-    pinhole_xy, bent_xy = _projections(camera, points_world)
+    camera = on_host(camera)
+    x, y, z = camera_components(camera, *np.asarray(points_world, float).T)
+    ahead = z > NEAREST_M
+    depths = np.where(ahead, z, 1.0)
+    pinhole_xy, bent_xy = (
+        np.where(ahead, components(camera, x / depths, y / depths), np.nan).T
+        for components in (pinhole_components, pixel_components)
+    )
     if camera.lens == FISHEYE:
         return bent_xy
     size = np.asarray(camera.size, float)
     near = np.asarray((np.abs(pinhole_xy - size / 2) <= (0.5 + DISTORTION_MARGIN) * size).all(-1))
     return np.where(near[:, None], bent_xy, pinhole_xy)
-
-
-def _projections(camera: Camera, points_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    camera = on_host(camera)
-    x, y, z = camera_components(camera, *np.asarray(points_world, float).T)
-    ahead = z > NEAREST_M
-    depths = np.where(ahead, z, 1.0)
-    both = [
-        np.where(ahead, components(camera, x / depths, y / depths), np.nan).T
-        for components in (pinhole_components, pixel_components)
-    ]
-    return both[0], both[1]
 
 
 def points_in_image(camera: Camera, points_world: np.ndarray) -> np.ndarray:

@@ -7,7 +7,6 @@ or room might explain it.
 """
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
@@ -132,7 +131,9 @@ def _check_unit(recording: Recording) -> Iterator[Finding]:
         yield Finding("unit", "[markers] file: all markers lie at one place", fatal=True)
         return
     unit = min(UNIT_FACTORS, key=lambda name: abs(np.log(times / UNIT_FACTORS[name])))
-    cause = f"the numbers look like {unit}, {_unit_field(recording.markers_file)}"
+    suffix = recording.markers_file.suffix.lower() if recording.markers_file else ""
+    field = {".trc": "change Units in its third line", ".c3d": "change its POINT:UNITS"}.get(suffix)
+    cause = f"the numbers look like {unit}, {field or 'which must be metres'}"
     if abs(np.log(times / UNIT_FACTORS[unit])) > np.log(UNIT_TOLERANCE):
         cause = "no unit explains that, are these one person's markers?"
     yield Finding(
@@ -141,13 +142,6 @@ def _check_unit(recording: Recording) -> Iterator[Finding]:
         f"{times * skeleton_stature(recording.skeleton):.4g} m, expected {expected:.2g} m; {cause}",
         fatal=True,
     )
-
-
-def _unit_field(path: Path | None) -> str:
-    """Where a marker file states its unit."""
-    suffix = path.suffix.lower() if path else ""
-    stated = {".trc": "change Units in its third line", ".c3d": "change its POINT:UNITS"}
-    return stated.get(suffix, "which must be metres")
 
 
 def _span(positions: np.ndarray) -> np.ndarray:
@@ -180,15 +174,11 @@ def _check_times(recording: Recording) -> Iterator[Finding]:
         )
 
 
-def _complete_samples(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Markers that are mostly present, and (T', M', 3) the samples that have all of them."""
+def _check_up(recording: Recording) -> Iterator[Finding]:
+    # Markers that are mostly present, and (T', M', 3) the samples that have all of them.
     is_present = np.asarray(np.isfinite(recording.positions_world).all(-1))
     kept = np.flatnonzero(is_present.mean(0) >= 0.5)
-    return kept, recording.positions_world[is_present[:, kept].all(1)][:, kept]
-
-
-def _check_up(recording: Recording) -> Iterator[Finding]:
-    kept, positions = _complete_samples(recording)
+    positions = recording.positions_world[is_present[:, kept].all(1)][:, kept]
     heights = standing_points(recording.skeleton, recording.places)[kept, 2]
     if not len(positions) or len(kept) < 2 or np.ptp(heights) < MIN_HEIGHTS_M:
         return
@@ -196,39 +186,28 @@ def _check_up(recording: Recording) -> Iterator[Finding]:
     shares = np.median(np.einsum("tma,m->ta", positions, centred), 0) / (centred @ centred)
     levels = np.median(positions.mean(1), 0) / heights.mean()
     for axis, name in enumerate("xy"):
-        sign = 1.0 if shares[axis] > 0 else -1.0
-        upright = (
-            sign * shares[axis] >= UPRIGHT_SHARE
-            and LEVEL_RANGE[0] <= sign * levels[axis] <= LEVEL_RANGE[1]
-        )
+        sign, level = ("", levels[axis]) if shares[axis] > 0 else ("-", -levels[axis])
+        upright = abs(shares[axis]) >= UPRIGHT_SHARE and LEVEL_RANGE[0] <= level <= LEVEL_RANGE[1]
         stands = shares[2] > STANDS_RATIO * abs(shares[axis])
         if upright and not stands:
-            yield _wrong_up(f"{'' if sign > 0 else '-'}{name}", shares[2], abs(shares[axis]))
+            yield Finding(
+                "up axis",
+                f"[markers] up: the person stands along the world's {sign}{name} "
+                f"({100 * abs(shares[axis]):.0f} % of a standing person's heights), not along z "
+                f"({100 * shares[2]:.0f} %); change [markers] up, or state to_world",
+                fatal=True,
+            )
             return
     if shares[2] <= -UPRIGHT_SHARE:
-        is_certain = shares[2] <= -INVERTED_SHARE or -levels[2] >= LEVEL_RANGE[0]
-        yield _upside_down(shares[2], bool(is_certain))
-
-
-def _wrong_up(axis: str, stated: float, other: float) -> Finding:
-    remedy = "change [markers] up, or state to_world"
-    return Finding(
-        "up axis",
-        f"[markers] up: the person stands along the world's {axis} ({100 * other:.0f} % of a "
-        f"standing person's heights), not along z ({100 * stated:.0f} %); {remedy}",
-        fatal=True,
-    )
-
-
-def _upside_down(share: float, is_certain: bool) -> Finding:
-    unless = "" if is_certain else "; unless hands are held up all the time"
-    return Finding(
-        "up axis",
-        f"[markers] up: the person is upside down in most samples ({100 * share:.0f} % of a "
-        f"standing person's heights){unless}, the file's axis points down or an axis is mirrored: "
-        "state to_world in place of up",
-        fatal=is_certain,
-    )
+        is_certain = bool(shares[2] <= -INVERTED_SHARE or -levels[2] >= LEVEL_RANGE[0])
+        unless = "" if is_certain else "; unless hands are held up all the time"
+        yield Finding(
+            "up axis",
+            f"[markers] up: the person is upside down in most samples ({100 * shares[2]:.0f} % of "
+            f"a standing person's heights){unless}, the file's axis points down or an axis is "
+            "mirrored: state to_world in place of up",
+            fatal=is_certain,
+        )
 
 
 def _check_reach(recording: Recording) -> Iterator[Finding]:

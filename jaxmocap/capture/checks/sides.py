@@ -68,20 +68,16 @@ def _vote(share: float) -> int:
     return int(share >= MIN_AGREEING_SHARE) - int(share <= 1 - MIN_AGREEING_SHARE)
 
 
-def left_right_pairs(recording: Recording) -> list[tuple[int, int]]:
-    """Markers at the same place of the left and the right side."""
+def facing_of_pairs(recording: Recording) -> list[Facing]:
+    """Which way round each pair of markers is."""
+    head = [i for i, place in enumerate(recording.places) if place.bone == "head"]
+    # Markers at the same place of the left and the right side.
     places = {(place.bone, place.at): i for i, place in enumerate(recording.places)}
-    return [
+    pairs = [
         (i, places[bone[:-2] + "_r", at])
         for (bone, at), i in places.items()
         if bone.endswith("_l") and (bone[:-2] + "_r", at) in places
     ]
-
-
-def facing_of_pairs(recording: Recording) -> list[Facing]:
-    """Which way round each pair of markers is."""
-    head = [i for i, place in enumerate(recording.places) if place.bone == "head"]
-    pairs = left_right_pairs(recording)
     if not (head and pairs):
         return []
     lasts = np.ptp(recording.times) >= MIN_DURATION_S
@@ -94,12 +90,9 @@ def facing_of_pairs(recording: Recording) -> list[Facing]:
     found = []
     for left, right in pairs:
         leftward = positions[:, left] - positions[:, right]
-        hands_share, metres = _hands_share(_forward(ahead, leftward))
-        found.append(
-            Facing(
-                (left, right), hands_share, metres, _walk_share(_forward(walked, leftward), steps)
-            )
-        )
+        of_hands = _hands_share(_forward(ahead, leftward))
+        of_walk = _walk_share(_forward(walked, leftward), steps)
+        found.append(Facing((left, right), *of_hands, of_walk))
     return found
 
 

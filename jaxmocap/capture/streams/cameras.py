@@ -20,9 +20,9 @@ from av.codec.context import Flags
 from av.error import FFmpegError
 
 from jaxmocap.capture.streams.inbox import LiveFrame
-from jaxmocap.capture.streams.listener import Listener
+from jaxmocap.capture.streams.source import Listener
 from jaxmocap.capture.video import SIZE_TOLERANCE, Video, image_of
-from jaxmocap.formats.cameras.video_tables import read_video_tables
+from jaxmocap.formats.cameras.video_sources import read_video_tables
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import short_repr
 from jaxmocap.formats.files.toml import TomlTable
@@ -117,7 +117,11 @@ class LiveCamera(Listener):
                     for image in images:
                         if self._stop.is_set() or not self._fits(image):
                             return
-                        self._deliver(image)
+                        arrived = self._now()
+                        self.last_arrival, self.status, self.reason = arrived, "on", None
+                        self.frames += 1
+                        exposed = arrived + self._video.offset
+                        self._on_frame(LiveFrame(self._index, exposed, image, arrived))
             except (FFmpegError, OSError, InputError) as error:
                 # A camera that is away is asked for again.
                 self.reason = _why(error)
@@ -126,12 +130,6 @@ class LiveCamera(Listener):
             if not self._is_retried:
                 return
             self._stop.wait(RETRY_S)
-
-    def _deliver(self, image: np.ndarray) -> None:
-        arrived = self._now()
-        self.last_arrival, self.status, self.reason = arrived, "on", None
-        self.frames += 1
-        self._on_frame(LiveFrame(self._index, arrived + self._video.offset, image, arrived))
 
     def _fits(self, image: np.ndarray) -> bool:
         """Whether an image can be of the camera that was calibrated."""

@@ -11,8 +11,9 @@ pylsl is loaded when a stream is asked for; it is the extra ``lsl``.
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from itertools import chain
 from time import monotonic
-from typing import Any, NamedTuple
+from typing import Any
 
 from jaxmocap.capture.streams.osc import MAX_DISTANCE_M, MarkerMessage, unit_quaternion
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
@@ -34,20 +35,6 @@ MAX_STREAM_CHARACTERS = 200
 METRES_PER_UNIT = {"": 1.0, "m": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "millimeters": 1e-3}
 POSITION_SUFFIXES = (".x", ".y", ".z")
 QUATERNION_SUFFIXES = (".qx", ".qy", ".qz", ".qw")
-
-
-class MarkerChannels(NamedTuple):
-    """Where a marker is among a sample's values.
-
-    Attributes:
-        first: index of its x.
-        scales: metres per unit of x, y, z.
-        has_orientation: whether its quaternion follows.
-    """
-
-    first: int
-    scales: tuple[float, ...]
-    has_orientation: bool
 
 
 class MarkerStream(MarkerSource):
@@ -91,17 +78,15 @@ class MarkerStream(MarkerSource):
             try:
                 streams = self._lsl.resolve_byprop("name", self._name, timeout=RESOLVE_TIMEOUT_S)
                 if streams:
-                    self._receive(self._lsl.StreamInlet(streams[0], max_buflen=1, recover=False))
+                    inlet = self._lsl.StreamInlet(streams[0], max_buflen=1, recover=False)
+                    try:
+                        self._take(inlet)
+                    finally:
+                        inlet.close_stream()
             except (RuntimeError, ValueError):
                 # Who sent has gone, maybe somebody comes back; or it describes itself in bytes
                 # that are not UTF-8.
                 self._stop.wait(PULL_TIMEOUT_S)
-
-    def _receive(self, inlet: Any) -> None:
-        try:
-            self._take(inlet)
-        finally:
-            inlet.close_stream()
 
     def _take(self, inlet: Any) -> None:
         """All samples of a stream, until it is lost."""
@@ -126,8 +111,8 @@ class MarkerStream(MarkerSource):
                 self.last_arrival = arrived
                 self._assembler.add(messages, self.clock.time(arrived, stamp), arrived, True)
 
-    def _channels(self, info: Any) -> dict[str, MarkerChannels]:
-        """Marker -> where it is."""
+    def _channels(self, info: Any) -> dict[str, tuple[int, tuple[float, ...], bool]]:
+        """Marker -> index of its x, metres per unit of x, y, z, whether its quaternion follows."""
         if info.channel_format() not in self._numeric:
             self.problem = "expected channels of numbers, found text"
             return {}
@@ -145,10 +130,8 @@ class MarkerStream(MarkerSource):
                 has_orientation = labels[i + 3 : i + 7] == [
                     name + part for part in QUATERNION_SUFFIXES
                 ]
-                channels_of[name] = MarkerChannels(i, scales, has_orientation)
-        if not channels_of or any(
-            math.isnan(scale) for each in channels_of.values() for scale in each.scales
-        ):
+                channels_of[name] = i, scales, has_orientation
+        if not channels_of or any(map(math.isnan, chain(*(s for _, s, _ in channels_of.values())))):
             found_labels = comma_list(labels[:6]) or "none"
             expected = "expected channels Name.x, Name.y, Name.z in m or mm"
             self.problem = f"{expected}, found {found_labels}"

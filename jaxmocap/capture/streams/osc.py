@@ -111,7 +111,9 @@ def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
     if has_scaled and not markers:
         ignored.add("scaled")
     is_bundle = datagram.startswith(_BUNDLE)
-    stamp = _time_tag(datagram) if stamp is None and is_bundle else stamp
+    if stamp is None and is_bundle:
+        (tag,) = struct.unpack_from(">Q", datagram, 8)
+        stamp = None if tag == _IMMEDIATELY else tag / _FRACTIONS
     return Packet(tuple(markers), stamp, is_bundle, tuple(sorted(ignored)))
 
 
@@ -239,9 +241,3 @@ def _position(numbers: list[float]) -> tuple[float, float, float]:
         raise BadPacketError("absurd")
     x, y, z = numbers
     return x, y, z
-
-
-def _time_tag(bundle: bytes) -> float | None:
-    """A bundle's seconds; None for "at once"."""
-    (tag,) = struct.unpack_from(">Q", bundle, 8)
-    return None if tag == _IMMEDIATELY else tag / _FRACTIONS

@@ -78,12 +78,8 @@ class SampleAssembler:
         """
         self._index = {name: i for i, name in enumerate(markers)}
         self._index |= {name: self._index[marker] for name, marker in aliases.items()}
-        self._names, self._R_world_source, self._on_sample = (
-            tuple(markers),
-            R_world_source,
-            on_sample,
-        )
-        self._bind = bind
+        self._names, self._R_world_source = tuple(markers), R_world_source
+        self._on_sample, self._bind = on_sample, bind
         self._last_arrivals = np.full(len(markers), -np.inf)
         self._messages: dict[int, MarkerMessage] = {}
         self._orientations: dict[int, tuple[float, MarkerMessage]] = {}
@@ -147,15 +143,7 @@ class SampleAssembler:
         return [] if silent.all() else [self._names[i] for i in np.flatnonzero(silent)]
 
     def _flush(self) -> None:
-        """Give out what is there, at a time that is later than the last one's."""
-        measurements = self._measurements()
-        self._last_time = max(self._time, self._last_time + 1e-4)
-        self._messages = {}
-        points = measurements.positions_world if self._bind is None else self._bind(*measurements)
-        self._on_sample(MarkerSample(self._last_time, points, self._arrived, measurements))
-
-    def _measurements(self) -> MarkerMeasurements:
-        """The markers in the world's axes."""
+        """Give out what is there, in the world's axes, at a time later than the last one's."""
         positions = np.full((len(self._last_arrivals), 3), np.nan)
         quaternions = np.full((len(self._last_arrivals), 4), np.nan)
         for marker, message in self._messages.items():
@@ -164,7 +152,11 @@ class SampleAssembler:
             if latest.orientation is not None and self._arrived - arrived < ORIENTATION_VALID_S:
                 x, y, z, w = latest.orientation
                 quaternions[marker] = w, x, y, z
-        return MarkerMeasurements(
+        measurements = MarkerMeasurements(
             positions @ self._R_world_source.T,
             self._R_world_source @ matrices(quaternions) @ self._R_world_source.T,
         )
+        self._last_time = max(self._time, self._last_time + 1e-4)
+        self._messages = {}
+        points = measurements.positions_world if self._bind is None else self._bind(*measurements)
+        self._on_sample(MarkerSample(self._last_time, points, self._arrived, measurements))

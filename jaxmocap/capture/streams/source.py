@@ -8,14 +8,41 @@ A protocol is a file beside this one with both, and its name in ``pipelines/live
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
+from threading import Event, Thread
 from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
 
-from jaxmocap.capture.streams.listener import Listener
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.formats.files.toml import TomlTable
+
+
+class Listener(ABC):
+    """Takes in what comes, in a thread that ends with the process, until it is asked to stop."""
+
+    def __init__(self, name: str, timeout_s: float):
+        """Prepare a thread of that name, which takes so many seconds to end, at most."""
+        self._stop, self._timeout_s = Event(), timeout_s
+        self._thread = Thread(target=self._listen, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Listen from now on."""
+        self._thread.start()
+
+    def ask_to_stop(self) -> None:
+        """Listen no more, soon."""
+        self._stop.set()
+
+    def stop(self) -> None:
+        """Listen no more; returns within the timeout, though a driver may never let go."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(self._timeout_s)
+
+    @abstractmethod
+    def _listen(self) -> None:
+        """Take in what comes until ``_stop`` is set."""
 
 
 class MarkerSource(Listener):

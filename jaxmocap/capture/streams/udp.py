@@ -176,14 +176,13 @@ class MarkerSocket(MarkerSource):
 
 def _bound_socket(address: Address) -> socket.socket:
     family, socket_address = resolve_address(address)
+    bound = None
     try:
         bound = socket.socket(family, socket.SOCK_DGRAM)
-    except OSError as error:
-        raise InputError(str(address), f"cannot listen there ({error.strerror})") from None
-    try:
         bound.bind(socket_address)
     except OSError as error:
-        bound.close()
+        if bound is not None:
+            bound.close()
         raise InputError(str(address), f"cannot listen there ({error.strerror})") from None
     bound.setblocking(False)
     return bound

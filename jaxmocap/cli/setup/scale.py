@@ -9,6 +9,7 @@ from pathlib import Path
 from jaxmocap.cli.command import Command
 from jaxmocap.cli.option_types import pair, positive_number
 from jaxmocap.cli.reporting import files_read, report
+from jaxmocap.formats.files.errors import InputError
 
 LENGTHS_TEXT = """\
 One of --height, --static and --recording says whose body it is. From a recording every length is
@@ -55,20 +56,32 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> None:
     from jaxmocap.formats.files.writing import check_target
     from jaxmocap.formats.recordings.subject import check_replaceable
-    from jaxmocap.pipelines.scaling.scale import BodySource, write_body
 
     check_target(options.out, files_read(options))
     check_replaceable(Path(options.out))
-    source = BodySource(
-        height=options.height,
-        mass=options.mass,
-        static=options.static,
-        landmarks=dict(options.landmarks),
-        up=options.up,
-        wrists=options.wrists,
-        recording=options.recording,
-    )
-    body = write_body(options.out, source, progress=True)
+    if options.recording is None:
+        from jaxmocap.calibration.static_trial import scale_subject
+
+        body = scale_subject(
+            options.out,
+            options.height,
+            options.static,
+            dict(options.landmarks),
+            options.up,
+            options.mass,
+            options.wrists,
+        )
+    elif options.landmarks or options.up or options.wrists:
+        stated = "--landmarks, --up and --wrists do not go with --recording, whose file states them"
+        raise InputError(options.recording, stated)
+    else:
+        # A recording takes what tracks, which height and static trial do without.
+        from jaxmocap.pipelines.kept_programs import keep_compiled
+        from jaxmocap.pipelines.scaling.fit_lengths import scale_by_recording
+
+        keep_compiled()
+        chosen = options.recording, options.height, options.mass
+        body = scale_by_recording(options.out, *chosen, progress=True)
     report(options, body.text(), body.figures())
 
 

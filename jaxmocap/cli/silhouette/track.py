@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import place_and_facing
+from jaxmocap.cli.option_types import numbers
 from jaxmocap.cli.recording_options import add_cameras, recording_of
 from jaxmocap.cli.reporting import report
 from jaxmocap.cli.silhouette.settings_options import add_settings, settings_of
@@ -21,40 +21,11 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--at",
         metavar="X,Y,FACING",
-        type=place_and_facing,
+        type=numbers(3, "X,Y,FACING"),
         help="where the person stands upright at first, metres, and faces, degrees from x towards "
         "y, in the calibration's world; a foot or a mark on the floor tells ('jaxmocap help "
         "silhouettes'); default: from the recording's markers",
     )
-    _add_passes(parser)
-    parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")
-    add_settings(parser)
-    _add_morphing(parser)
-    parser.add_argument(
-        "--model",
-        metavar="DIR",
-        help="the person's own, as 'silhouette model' wrote it; default: a body of people's mean "
-        "proportions around the recording's [subject]",
-    )
-
-
-def _add_morphing(parser: argparse.ArgumentParser) -> None:
-    morphing = parser.add_mutually_exclusive_group()
-    morphing.add_argument(
-        "--shoulders",
-        action="store_true",
-        help="let shoulders go along with raised arms, joints up and back and the skin inwards; "
-        "default: they stay on the chest",
-    )
-    morphing.add_argument(
-        "--morphing",
-        metavar="FILE.toml",
-        help="let joints and skin go along as this file has it: [[joint]] and [[swelling]] as in "
-        "the package's body/data/shoulder.toml, [[transition]] into another surface",
-    )
-
-
-def _add_passes(parser: argparse.ArgumentParser) -> None:
     passes = parser.add_mutually_exclusive_group()
     passes.add_argument(
         "--once",
@@ -69,6 +40,27 @@ def _add_passes(parser: argparse.ArgumentParser) -> None:
         "--lengths",
         action="store_true",
         help="let these passes correct the bones' lengths too, where no static trial measures them",
+    )
+    parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")
+    add_settings(parser)
+    morphing = parser.add_mutually_exclusive_group()
+    morphing.add_argument(
+        "--shoulders",
+        action="store_true",
+        help="let shoulders go along with raised arms, joints up and back and the skin inwards; "
+        "default: they stay on the chest",
+    )
+    morphing.add_argument(
+        "--morphing",
+        metavar="FILE.toml",
+        help="let joints and skin go along as this file has it: [[joint]] and [[swelling]] as in "
+        "the package's body/data/shoulder.toml, [[transition]] into another surface",
+    )
+    parser.add_argument(
+        "--model",
+        metavar="DIR",
+        help="the person's own, as 'silhouette model' wrote it; default: a body of people's mean "
+        "proportions around the recording's [subject]",
     )
 
 

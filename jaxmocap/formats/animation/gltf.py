@@ -6,9 +6,9 @@ OUTPUTS: a .glb file: a node per joint, an animation of the root's position and 
 rotation, and the mesh (a skin); without one the limbs, as they are in the armature's rest pose.
 
 Samples whose pose is unknown have no key: a viewer moves on from the one before to the one after.
-Across gaps (see ``gaps``) the last pose is held. The animation begins at 0 s; its ``extras`` say
-when that was (``start``, seconds). Where the root is far from the world's origin its positions are
-about a local one, since glTF has single precision: ``extras`` say where (``origin``, metres).
+Across gaps (see ``resampling``) the last pose is held. The animation begins at 0 s; its ``extras``
+say when that was (``start``, seconds). Where the root is far from the world's origin its positions
+are about a local one, since glTF has single precision: ``extras`` say where (``origin``, metres).
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ import jaxmocap
 from jaxmocap.formats.animation.glb import BinaryChunk, write_document
 from jaxmocap.formats.armatures.armature import Armature, BeyondFormatError
 from jaxmocap.formats.armatures.skinned_mesh import SkinnedMesh, limb_mesh
-from jaxmocap.formats.conversion.gaps import hold_across_gaps
+from jaxmocap.formats.conversion.resampling import hold_across_gaps
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.origin import local_origin
 

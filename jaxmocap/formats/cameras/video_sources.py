@@ -1,7 +1,7 @@
 """The [[video]] of a recording: which files, taken by which cameras.
 
-INPUTS: a recording's TOML file with [[video]] and [calibration].
-OUTPUTS: a VideoSource of each, with its camera.
+INPUTS: a recording's TOML file, or a live run's, with [[video]] and [calibration].
+OUTPUTS: a VideoSource of each, with its camera; or tables and Cameras.
 """
 
 from collections.abc import Sequence
@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.formats.cameras.video_tables import read_video_tables
+from jaxmocap.formats.cameras.calibration import camera_of, check_one_kind, read_sections
 from jaxmocap.formats.files.short_repr import short_repr
-from jaxmocap.formats.files.toml import TomlTable
+from jaxmocap.formats.files.toml import TomlTable, same_file_name
 from jaxmocap.formats.recordings.keypoint_files import LARGEST_FRAME_NUMBER
 from jaxmocap.formats.recordings.keypoint_models import MODELS
 from jaxmocap.formats.recordings.keypoints import Detections
@@ -80,15 +80,15 @@ def read_videos(top: TomlTable, origin_world: np.ndarray | None = None) -> tuple
 
 def _keypoints(fields: TomlTable) -> dict[str, Any]:
     """Where a video's 2-D detections are, and how to read them."""
-    given: dict[str, Any] = {}
+    stated: dict[str, Any] = {}
     for key in _KEYPOINT_KEYS:
         if key in fields and "keypoints" not in fields:
             raise fields.error(key, "found without 'keypoints', which it is about")
     if "keypoints" in fields:
         is_file = fields.text("keypoints").lower().endswith(".json")
-        given["keypoints"] = fields.file("keypoints", folder=not is_file)
+        stated["keypoints"] = fields.file("keypoints", folder=not is_file)
     if "keypoints_model" in fields:
-        given["keypoints_model"] = model = fields.text("keypoints_model")
+        stated["keypoints_model"] = model = fields.text("keypoints_model")
         if model not in MODELS:
             expected = ", ".join(MODELS)
             raise fields.error(
@@ -96,5 +96,45 @@ def _keypoints(fields: TomlTable) -> dict[str, Any]:
             )
     if "keypoints_first" in fields:
         limit = LARGEST_FRAME_NUMBER
-        given["keypoints_first"] = fields.integer("keypoints_first", -limit, limit)
-    return given
+        stated["keypoints_first"] = fields.integer("keypoints_first", -limit, limit)
+    return stated
+
+
+def read_video_tables(
+    top: TomlTable, keys: Sequence[str], most: int, origin_world: np.ndarray | None = None
+) -> tuple[Path | None, list[tuple[TomlTable, str, Camera]]]:
+    """The calibration file, and each video's table, name of its camera, and camera.
+
+    Args:
+        top: the whole file.
+        keys: of a table.
+        most: how many there may be.
+        origin_world: (3,) metres, subtracted from the cameras' positions; None: zero.
+
+    Raises:
+        InputError: a camera that is missing or does not fit, or two whose files would be called the
+            same.
+    """
+    tables = top.entries.get("video", [])
+    if not isinstance(tables, list):
+        raise top.error("[video]", "found one table, expected [[video]] in double brackets")
+    if not tables:
+        return None, []
+    if "calibration" not in top:
+        raise top.error("", "[calibration] is missing, which every [[video]] needs")
+    calibration = TomlTable(top.path, "[calibration]", top.entries["calibration"], ("file",))
+    file = calibration.file("file")
+    if len(tables) > most:
+        raise top.error("[[video]]", f"found {len(tables)}, expected at most {most}")
+    sections, videos, earlier = read_sections(file), [], {}
+    for i, table in enumerate(tables, 1):
+        fields = TomlTable(top.path, f"[[video]] number {i}", table, keys)
+        name = fields.file_name("camera")
+        # Some file systems take large and small letters for the same.
+        if (same := same_file_name(name)) in earlier:
+            problem = f"found {short_repr(name)} beside {short_repr(earlier[same])}"
+            raise fields.error("camera", f"{problem}, expected another camera")
+        earlier[same] = name
+        videos.append((fields, name, camera_of(file, sections, name, origin_world)))
+    check_one_kind(top, {name: camera for _, name, camera in videos})
+    return file, videos

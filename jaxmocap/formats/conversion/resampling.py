@@ -2,7 +2,10 @@
 
 INPUTS: Markers, an Armature or a Motion, and times. OUTPUTS: the same kind of thing, linear and
 spherical linear interpolation between its samples; missing where one of the two samples is, and
-within gaps.
+within gaps: spans of time in which a recording holds nothing.
+
+A gap is no motion: nothing is drawn through it. Where a format must say something, the last pose
+before it is held, and the first one after it follows at once.
 """
 
 from collections.abc import Iterator
@@ -16,7 +19,6 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.formats.armatures.armature import Armature
-from jaxmocap.formats.conversion.gaps import is_gap
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.tables import Markers
 
@@ -28,6 +30,10 @@ MAX_NUMBERS = 100_000_000
 MAX_GROWTH = 4
 # Numbers that are worked on at a time.
 BLOCK_NUMBERS = 1_000_000
+# Seconds: a hand moves by half a metre in less, so that a straight line would show another motion.
+LONGEST_BRIDGED_S = 0.5
+# Slow recordings are bridged over so many of their own intervals.
+MAX_INTERVALS_BRIDGED = 5
 
 
 def even_times(
@@ -157,3 +163,34 @@ def resampled_motion(motion: Motion, times: np.ndarray) -> Motion:
     quaternion = np.where(is_finite, rotations.as_quat(scalar_first=True), np.nan)
     parts: list[Any] = [lerp(position, at), quaternion, lerp(angles, at)]
     return replace(motion, times=times, poses=Pose(*parts), report=None)
+
+
+def is_gap(times: np.ndarray) -> np.ndarray:
+    """(T - 1,) whether what lies between each of (T,) times and the next one is a gap."""
+    steps = np.diff(times)
+    if not len(steps):
+        return np.zeros(0, bool)
+    return steps > max(LONGEST_BRIDGED_S, MAX_INTERVALS_BRIDGED * float(np.median(steps)))
+
+
+def hold_across_gaps(armature: Armature) -> Armature:
+    """The samples that have a pose, and the pose before each gap once more at its end."""
+    valid_samples = np.flatnonzero(armature.is_valid)
+    times = armature.times[valid_samples]
+    before = np.flatnonzero(is_gap(times))
+    if not len(before) and len(valid_samples) == len(armature.times):
+        return armature
+    order, later = valid_samples, times
+    if len(before):
+        # One interval before the first pose after the gap, as if a sample were there.
+        last = times[before + 1] - float(np.median(np.diff(times)))
+        order, later = (
+            np.insert(valid_samples, before + 1, valid_samples[before]),
+            np.insert(times, before + 1, last),
+        )
+    return replace(
+        armature,
+        times=later,
+        positions=armature.positions[order],
+        rotations=armature.rotations[order],
+    )

@@ -1,7 +1,8 @@
 """Common sets of markers: where each one sits on the body, so that no recording has to say it.
 
-INPUTS: ``set``, ``skip`` and ``prefix`` of [markers], the labels of a marker file, a skeleton.
-OUTPUTS: entries as those of [markers.on], for the markers that the file has; what is missing.
+INPUTS: ``set``, ``skip`` and ``prefix`` of [markers], [markers.on], the labels of a marker file, a
+skeleton. OUTPUTS: entries as those of [markers.on], for the markers that the file has; what is
+missing; places on the body with the joints that they determine.
 
 A set is a file in ``data``. Its offsets are metres of a person 1.70 m tall, and grow with the
 person. A marker with a ``joint`` is used where the body has that joint: a heel tells nothing of a
@@ -15,14 +16,16 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxmocap.body.model_files import proportions_of
-from jaxmocap.body.skeleton import JOINT_CENTRES, Skeleton
+from jaxmocap.body.model_files import MARKED, joint_rows, proportions_of
+from jaxmocap.body.skeleton import JOINT_CENTRES, Skeleton, with_added_joints
 from jaxmocap.formats.files.short_repr import comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable
+from jaxmocap.formats.marker_sets.marked_joints import with_marked_joints
+from jaxmocap.formats.recordings.marker_places import MarkerPlace, read_place
 
 SET_KEYS = ("set", "skip", "prefix")
 # The person whose offsets the files have: OpenSim's full-body model.
@@ -175,3 +178,31 @@ def _labels_by_marker(
         problem = f"the file has several people, {comma_list(people)}: state one as prefix"
         raise fields.error("set", problem)
     return next(iter(people.values()), {})
+
+
+class PlacedMarkers(NamedTuple):
+    """Where markers sit, on a body with the joints that they determine; the set, or None."""
+
+    skeleton: Skeleton
+    places: tuple[MarkerPlace, ...]
+    marker_set: MarkerSet | None
+
+
+def placed_markers(
+    fields: TomlTable, on: TomlTable, labels: Sequence[str], skeleton: Skeleton
+) -> PlacedMarkers:
+    """The places that a set and [markers.on] state.
+
+    A full set determines more than the 21 joints, and those serve more of its markers.
+    """
+
+    def on_body(body: Skeleton) -> PlacedMarkers:
+        marker_set = read_set(fields, labels, body)
+        entries = {**(marker_set.entries if marker_set else {}), **on.entries}
+        places = (read_place(fields.path, name, entry) for name, entry in entries.items())
+        return PlacedMarkers(body, tuple(places), marker_set)
+
+    full = on_body(with_added_joints(skeleton, joint_rows(MARKED)))
+    if not {place.bone for place in full.places} <= set(skeleton.tree.bones):
+        return on_body(skeleton)
+    return on_body(with_marked_joints(skeleton, full.places))

@@ -1,4 +1,4 @@
-"""A person's body from height and mass, a static trial, or a recording of movement.
+"""A person's body from a recording of movement.
 
-Begin with ``scale``; ``fit_lengths`` is the way by a recording, ``lengths_report`` its results.
+Begin with ``fit_lengths``; ``lengths_report`` is its results.
 """

@@ -18,9 +18,9 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.surfaces.parts import determined_landmarks, moved_bones
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.capture.background_pictures import read_empty_room
 from jaxmocap.capture.footage import forward_readers
 from jaxmocap.capture.markers import interpolate_markers
+from jaxmocap.capture.photographs import read_empty_room
 from jaxmocap.capture.timeline import bundle_frames
 from jaxmocap.capture.video import FrameSource, check_video_size, open_video
 from jaxmocap.formats.files.errors import InputError
