@@ -28,6 +28,7 @@ from bench.flattening import flattened
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.footage import forward_readers, open_footage
+from jaxmocap.capture.keypoints import open_keypoints
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.compilation.clock import Clock
@@ -44,7 +45,7 @@ from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned
-from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events, open_all_keypoints
+from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events
 from jaxmocap.pipelines.tracking.motions import Tracked, motions, unsmoothed
 from jaxmocap.pipelines.tracking.track import make_tracker, track
 from jaxmocap.smoothing.batch import smooth_recording
@@ -114,7 +115,8 @@ class FirstRun:
         """What the second pass makes of some kind of evidence."""
         first, model = self.first_pass, self.tracker.model
         if kind.points:
-            points, line = open_all_keypoints(self.recording, self.videos), self.events.timeline
+            points = tuple(map(open_keypoints, self.recording.videos, self.videos))
+            line = self.events.timeline
             lines = lines_at_events(self.recording, points, line, first.reports.marker_pose)
             first = first._replace(sight_lines=lines)
         usual = self.tracker.settings.smoothing

@@ -16,10 +16,8 @@ from jaxmocap.capture.footage import open_unchecked
 from jaxmocap.capture.keypoints import open_keypoints
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.capture.photographs import read_empty_room
-from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.marker_sets.sets import MarkerSet
-from jaxmocap.formats.recordings.recording import Recording, VideoSource
+from jaxmocap.formats.recordings.recording import Recording
 
 # Frames of a video that are decoded, from its first: 100 s at 30 Hz.
 MOST_DECODED = 3000
@@ -46,6 +44,7 @@ class RecordingCheck:
     def figures(self) -> dict[str, Any]:
         """Plain figures: metres, seconds, samples per second."""
         times, interval = self.recording.times, median_interval(self.recording.times)
+        used = self.recording.marker_set
         return {
             "stature_m": skeleton_stature(self.recording.skeleton),
             "measured_bones": list(self.measured_bones),
@@ -54,7 +53,13 @@ class RecordingCheck:
             "end_s": float(times[-1]),
             "rate_hz": 1 / interval if interval else None,
             "markers": list(self.recording.marker_names),
-            "marker_set": _set_figures(self.recording.marker_set),
+            "marker_set": used
+            and {
+                "name": used.name,
+                "found": list(used.entries),
+                "missing": list(used.missing),
+                "unused": list(used.unused),
+            },
             "cameras": [view.figures() for view in self.views],
             "findings": [asdict(finding) for finding in self.findings],
             "warnings": list(self.warnings),
@@ -64,16 +69,22 @@ class RecordingCheck:
         """The same figures as lines of text."""
         figures = self.figures()
         rate = f" at {figures['rate_hz']:.4g} Hz" if figures["rate_hz"] else ""
+        # The first error ends the command, with its sentence.
+        others = self.findings[bool(self.findings and self.findings[0].fatal) :]
         lines = [
             f"person   {figures['stature_m']:.2f} m tall",
             f"lengths  {self._lengths()}",
             f"markers  {', '.join(figures['markers'])}: {figures['samples']} samples{rate}, "
             f"{figures['start_s']:.2f} to {figures['end_s']:.2f} s",
             *([f"set      {used.sentence()}"] if (used := self.recording.marker_set) else []),
-            *map(_view_line, self.views),
+            *(
+                f"camera   {view.camera}: {view.distance:.2f} m from the markers, of which it "
+                f"shows {100 * view.visible_share:.0f} %, during {100 * view.covered_share:.0f} % "
+                "of the samples"
+                for view in self.views
+            ),
             *(f"warning  {sentence}" for sentence in self.warnings),
-            # The first error ends the command, with its sentence.
-            *(f"{'error' if f.fatal else 'warning':7}  {f.sentence}" for f in self._others()),
+            *(f"{'error' if f.fatal else 'warning':7}  {f.sentence}" for f in others),
         ]
         return "\n".join(lines if self.findings else [*lines, "nothing wrong was found"])
 
@@ -86,33 +97,11 @@ class RecordingCheck:
         parts = {"measured": self.measured_bones, "by the height": rest}
         return "; ".join(f"{basis}: {bone_list(each)}" for basis, each in parts.items() if each)
 
-    def _others(self) -> list[Finding]:
-        """The findings but for a first one that is fatal."""
-        return self.findings[bool(self.findings and self.findings[0].fatal) :]
-
     def raise_if_fatal(self) -> None:
         """InputError with the first finding, if it is fatal."""
         if self.findings and self.findings[0].fatal:
             where = self.recording.path or self.recording.name
             raise InputError(where, self.findings[0].sentence)
-
-
-def _set_figures(marker_set: MarkerSet | None) -> dict[str, Any] | None:
-    if marker_set is None:
-        return None
-    return {
-        "name": marker_set.name,
-        "found": list(marker_set.entries),
-        "missing": list(marker_set.missing),
-        "unused": list(marker_set.unused),
-    }
-
-
-def _view_line(view: MarkerVisibility) -> str:
-    return (
-        f"camera   {view.camera}: {view.distance:.2f} m from the markers, of which it shows "
-        f"{100 * view.visible_share:.0f} %, during {100 * view.covered_share:.0f} % of the samples"
-    )
 
 
 def check(recording: Recording) -> RecordingCheck:
@@ -124,23 +113,18 @@ def check(recording: Recording) -> RecordingCheck:
     videos, warnings = open_unchecked(recording.require_markers())
     times = [video.times for video in videos]
     for source, video in zip(recording.videos, videos, strict=True):
-        warnings += _video_warnings(source, video)
+        if source.background is not None:
+            read_empty_room(source.background, video.size)
+        keypoints = open_keypoints(source, video)
+        warnings += () if keypoints is None else tuple(keypoints.warnings)
+        images = islice((image for _, image in video.frames(luma=True)), MOST_DECODED)
+        undecoded = [image is None for image in images]
+        if broken := sum(undecoded):
+            problem = f"{broken} of {len(undecoded)} frames cannot be decoded, they are missing"
+            warnings += (f"{video.name}: {problem}",)
     views = [
         marker_visibility(recording, *each) for each in zip(recording.videos, times, strict=True)
     ]
     measured = () if recording.path is None else measured_bones(recording.path)
     findings = [*check_recording(recording, times), *check_stretched_arms(recording, measured)]
     return RecordingCheck(recording, findings, views, warnings, measured)
-
-
-def _video_warnings(source: VideoSource, video: FrameSource) -> tuple[str, ...]:
-    """About a video's key points and frames; InputError for these or its background."""
-    if source.background is not None:
-        read_empty_room(source.background, video.size)
-    keypoints = open_keypoints(source, video)
-    frames = list(islice((image is None for _, image in video.frames(luma=True)), MOST_DECODED))
-    warnings = () if keypoints is None else tuple(keypoints.warnings)
-    if not (broken := sum(frames)):
-        return warnings
-    sentence = f"{video.name}: {broken} of {len(frames)} frames cannot be decoded, they are missing"
-    return (*warnings, sentence)

@@ -74,7 +74,9 @@ def _keep_executables(files: PrivateCache | None) -> None:
     Its own cache would load whatever lies under an entry's name.
     """
     try:
-        _reset_cache()
+        from jax.experimental.compilation_cache import compilation_cache
+
+        compilation_cache.reset_cache()
         if files is not None:
             # Before XLA makes it, with what it tuned for a GPU.
             files.make_folder()
@@ -84,12 +86,6 @@ def _keep_executables(files: PrivateCache | None) -> None:
         files = None
         _warn(f"this release of JAX takes no cache but its own, so nothing is kept ({error})")
     jax.config.update("jax_compilation_cache_dir", None if files is None else str(files.folder))
-
-
-def _reset_cache() -> None:
-    from jax.experimental.compilation_cache import compilation_cache
-
-    compilation_cache.reset_cache()
 
 
 def _install(files: PrivateCache) -> None:

@@ -62,7 +62,8 @@ def _figures(report: Report) -> list[tuple[str, str]]:
         frames = report.settings.get("video_frames", 0)
         of_frames = f" for {frames} video frames" if frames else ""
         rows.append(("took", f"{sum(seconds.values()):.1f} s{of_frames}: {passes}"))
-    errors = [f"{name} {_centimetres(column)}" for name, column in _columns(report)]
+    columns = zip(report.markers, report.marker_errors.T, strict=True)
+    errors = [f"{name} {_centimetres(column)}" for name, column in columns]
     if errors:
         rows.append(("markers", f"position error {', '.join(errors)} (95 %)"))
     deviations = report.elbow_deviations
@@ -71,10 +72,6 @@ def _figures(report: Report) -> list[tuple[str, str]]:
         left, right = 100 * np.nanmedian(deviations, 0)
         rows.append(("elbows", f"left ± {left:.1f} cm, right ± {right:.1f} cm (median)"))
     return rows
-
-
-def _columns(report: Report) -> list[tuple[str, np.ndarray]]:
-    return list(zip(report.markers, report.marker_errors.T, strict=True))
 
 
 def _centimetres(errors: np.ndarray) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.capture.footage import open_footage
-from jaxmocap.capture.video import FrameSource
+from jaxmocap.capture.video import FrameSource, TimedImage
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import save_motion
@@ -137,7 +137,7 @@ def write_outputs(
     folder = tracked_folder(directory, recording, formats.more_files)
     videos, warnings = open_footage(recording)
     files = folder.write(
-        lambda stage: _write_numbers(motion, recording, warnings, stage, warn, formats)
+        lambda stage: write_numbers(motion, recording, stage, warnings, warn=warn, formats=formats)
     )
     return files + folder.write(
         lambda stage: _write_pictures(motion, recording, videos, stage, settings, progress)
@@ -153,21 +153,23 @@ def write_tracked(
 ) -> list[Path]:
     """The same into an existing folder, without any check of it."""
     videos, warnings = open_footage(recording)
-    files = _write_numbers(motion, recording, warnings, folder)
+    files = write_numbers(motion, recording, folder, warnings)
     return files + _write_pictures(motion, recording, videos, folder, settings, progress)
 
 
-def _write_numbers(
+def write_numbers(
     motion: Motion,
     recording: Recording,
-    warnings: Iterable[str],
     folder: Path,
+    warnings: Iterable[str] = (),
+    surface: Surface | None = None,
+    picture: bytes | None = None,
     warn: Warn = ignore_warning,
     formats: MotionFormats = USUAL_FORMATS,
 ) -> list[Path]:
-    """The motion and its report, with warnings about the recording."""
+    """The motion and its report, with warnings about the recording; see ``write_motion``."""
     motion_warnings: list[str] = []
-    files = write_motion(motion, folder, warn=motion_warnings.append, formats=formats)
+    files = write_motion(motion, folder, surface, picture, motion_warnings.append, formats)
     files.append(folder / "report.json")
     extra = {
         "recording": recording.path or recording.name,
@@ -189,7 +191,8 @@ def _write_pictures(
 ) -> list[Path]:
     """The overlays and the viewer's recording."""
     recording = with_refined_cameras(recording, motion)
-    targets = marker_tracks(recording)
+    columns = np.moveaxis(recording.positions_world, 1, 0)
+    targets = dict(zip(recording.marker_names, columns, strict=True))
     with progress_bar("drawing", progress) as show:
         total = sum(len(video) + viewer_frame_count(video) for video in videos)
         counter = FrameCounter(show, total)
@@ -276,19 +279,12 @@ def write_overlays(
     folder: Path,
     targets: Mapping[str, np.ndarray],
     counter: FrameCounter,
+    kind: str = "overlay",
+    changed: Callable[[str, Iterable[TimedImage]], Iterable[TimedImage]] = lambda _, frames: frames,
 ) -> list[Path]:
-    """A video of each camera."""
-    files = []
-    names = overlay_names(recording)
-    for name, source, video in zip(names, recording.videos, videos, strict=True):
-        path = folder / name
-        frames = counter.over(video.frames())
+    """A video of each camera; ``changed`` makes its frames of those that its name's camera took."""
+    files = [folder / name for name in overlay_names(recording, kind)]
+    for path, source, video in zip(files, recording.videos, videos, strict=True):
+        frames = changed(source.camera_name, counter.over(video.frames()))
         write_overlay(path, frames, source.camera, motion, targets, video.fps or 30.0)
-        files.append(path)
     return files
-
-
-def marker_tracks(recording: Recording) -> dict[str, np.ndarray]:
-    """Marker -> (T, 3) measured positions, world, metres."""
-    columns = np.moveaxis(recording.positions_world, 1, 0)
-    return dict(zip(recording.marker_names, columns, strict=True))

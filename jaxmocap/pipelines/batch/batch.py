@@ -22,7 +22,7 @@ from jaxmocap.formats.files.output_folder import LIST_NAME, OutputFolder
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.report import plain
-from jaxmocap.pipelines.batch.cluster import JobResult, cluster_client, results_as_completed
+from jaxmocap.pipelines.batch.cluster import cluster_client, results_as_completed
 from jaxmocap.pipelines.batch.corpus import (
     RECORD_FILE,
     CorpusRow,
@@ -151,25 +151,28 @@ def track_corpus(
     """
     jobs = jobs_of(corpus, out, options or TrackingOptions())
     folder = OutputFolder(out, "batch", TABLES, [path for job in jobs for path in job.inputs])
-    batch = Batch([], 0, {}, [folder.path / name for name in TABLES])
+    rows: list[CorpusRow] = []
+    failures: dict[str, str] = {}
+    earlier_count = 0
     most = None if workers is None else min(workers, len(jobs))
     with cluster_client(scheduler, most) as client, progress_bar("recordings", progress) as show:
         try:
             show(0, len(jobs))
             results = results_as_completed(client, track_one, jobs, timeout_s)
-            for count, result in enumerate(results, 1):
-                batch = _with_result(batch, result)
+            for count, (job, result, problem) in enumerate(results, 1):
+                outcome: Outcome = result or Outcome(None, problem=problem)
+                if outcome.row is None:
+                    failures[job.name] = str(outcome.problem)
+                else:
+                    rows.append(outcome.row)
+                    earlier_count += outcome.from_earlier_run
                 show(count, len(jobs))
         finally:
             # Before the cluster is closed, which may take its time.
-            _write_tables(folder, batch)
-    return batch
-
-
-def _write_tables(folder: OutputFolder, batch: Batch) -> None:
-    with folder.writing() as stage:
-        write_rows(stage / TABLES[0], batch.rows)
-        write_failures(stage / TABLES[1], batch.failures)
+            with folder.writing() as stage:
+                write_rows(stage / TABLES[0], rows)
+                write_failures(stage / TABLES[1], failures)
+    return Batch(rows, earlier_count, failures, [folder.path / name for name in TABLES])
 
 
 def jobs_of(corpus: str | Path, out: str | Path, options: TrackingOptions) -> list[Job]:
@@ -206,15 +209,6 @@ def _check_apart(corpus: Path, out: Path, jobs: list[Job]) -> None:
                 problem = f"the outputs of {other} and {job.name} would lie within one another"
                 raise InputError(corpus, f"{problem}, expected names that differ: rename one")
         taken[parts] = job.name
-
-
-def _with_result(batch: Batch, result: JobResult) -> Batch:
-    """The batch with the result of one more job."""
-    name, outcome = result.job.name, result.result or Outcome(None, problem=result.problem)
-    if outcome.row is None:
-        return replace(batch, failures=batch.failures | {name: str(outcome.problem)})
-    count = batch.earlier_count + outcome.from_earlier_run
-    return replace(batch, rows=[*batch.rows, outcome.row], earlier_count=count)
 
 
 def track_one(job: Job) -> Outcome:

@@ -118,7 +118,9 @@ def results_as_completed(
             for key, worker in clock.overdue(left):
                 future, job = left.pop(key)
                 future.cancel()
-                _restart_worker(client, worker)
+                # One that cannot be ended is left alone.
+                with suppress(Exception):
+                    client.restart_workers([worker], timeout=CONNECT_TIMEOUT_S)
                 yield JobResult(job, None, f"took longer than {timeout_s:g} s (--job-timeout)")
             sleep(POLL_INTERVAL_S)
     finally:
@@ -147,12 +149,6 @@ class _JobTimer:
             for each, began in self._began.items()
             if each[0] in keys and now - began > self._timeout
         ]
-
-
-def _restart_worker(client: Any, worker: str) -> None:
-    """End a worker's process and start it again; one that cannot be ended is left alone."""
-    with suppress(Exception):
-        client.restart_workers([worker], timeout=CONNECT_TIMEOUT_S)
 
 
 def _reason(future: Any) -> str:

@@ -143,16 +143,17 @@ def _boxes(recording: Recording, camera: Camera, video: FrameSource) -> np.ndarr
 def _text(people: list[np.ndarray | None], model: str) -> str:
     """The key points of a video's frames as JSON, with the names of the points."""
     names = {str(i): name for i, name in enumerate(MODELS[model])}
-    entries = [
-        {"frame_id": number, "instances": [] if person is None else [_instance(person)]}
-        for number, person in enumerate(people)
-    ]
+    entries = []
+    for number, person in enumerate(people):
+        instances = []
+        if person is not None:
+            pixels, scores = (
+                np.round(person[:, :2], DECIMALS[0]),
+                np.round(person[:, 2], DECIMALS[1]),
+            )
+            instances = [{"keypoints": pixels.tolist(), "keypoint_scores": scores.tolist()}]
+        entries.append({"frame_id": number, "instances": instances})
     return json.dumps({"meta_info": {"keypoint_id2name": names}, "instance_info": entries})
-
-
-def _instance(person: np.ndarray) -> dict[str, list]:
-    pixels, scores = np.round(person[:, :2], DECIMALS[0]), np.round(person[:, 2], DECIMALS[1])
-    return {"keypoints": pixels.tolist(), "keypoint_scores": scores.tolist()}
 
 
 def keypoint_entries(results: list[DetectedVideo], recording: Path) -> dict[str, str]:

@@ -9,7 +9,7 @@ import tomllib
 from collections import deque
 from collections.abc import Mapping
 from time import monotonic
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -52,18 +52,6 @@ POLL_S = 0.1
 _DECIMALS = {"height": 3, "length": 4, "turn": 4, "offset": 4}
 
 
-class StillSamples(NamedTuple):
-    """Devices during a while: T samples of M markers.
-
-    Attributes:
-        positions_world: (T, M, 3) metres; NaN where missing.
-        R_world_marker: (T, M, 3, 3); NaN where missing.
-    """
-
-    positions_world: np.ndarray
-    R_world_marker: np.ndarray
-
-
 def calibrate_live(
     setup: LiveSetup,
     stance: Stance,
@@ -97,16 +85,22 @@ def calibrate_live(
     if still is None:
         return {}
     try:
-        result = calibrate_standing(
-            setup.places, *_mean(still), stance, setup.skeleton, _is_by_height(setup)
-        )
+        # Height and arms may be measured where neither a static trial nor a file states them.
+        by_height = not setup.subject or "height" in setup.subject
+        result = calibrate_standing(setup.places, *_mean(*still), stance, setup.skeleton, by_height)
     except StandingError as error:
         raise OutputError(setup.path, f"not calibrated: {error}") from None
     _put_into(setup, result)
     for line in _summary(setup, result):
         status.log(listening.now(), line)
     status.ring()
-    return _figures(result)
+    return {
+        "height_m": result.height,
+        "lengths_m": dict(result.lengths),
+        "turn_wxyz": {name: list(each) for name, each in result.orientations.items()},
+        "offset_m": {name: list(each) for name, each in result.offsets.items()},
+        "warnings": list(result.warnings),
+    }
 
 
 class _Listening:
@@ -144,7 +138,10 @@ class _Listening:
                 )
             if self._stop.wait(POLL_S):
                 return False
-            missing = set(self._setup.marker_names) - self._recent_names()
+            missing = set(self._setup.marker_names)
+            if recent := self._recent():
+                has_come = np.isfinite(_stacked(recent)[0]).all(-1).any(0)
+                missing -= {self._setup.marker_names[i] for i in np.flatnonzero(has_come)}
         if missing == set(self._setup.marker_names):
             raise OutputError(
                 self._setup.path,
@@ -165,7 +162,7 @@ class _Listening:
         self._status.log(self.now(), f"in {seconds:.0f} s {INSTRUCTIONS[stance]}")
         return not self._stop.wait(seconds)
 
-    def stand_still(self) -> StillSamples | None:
+    def stand_still(self) -> tuple[np.ndarray, np.ndarray] | None:
         """The samples of the first seconds in which all devices stood still."""
         self._status.log(self.now(), "stand still")
         until, problem = self.now() + PATIENCE_S, "no device came in"
@@ -173,12 +170,13 @@ class _Listening:
         while self.now() < until:
             if self._stop.wait(POLL_S):
                 return None
-            samples = self._recent_samples()
-            if samples is not None:
-                moved = _movement(self._setup, samples)
-                if not moved:
-                    return samples
-                problem = moved
+            recent = self._recent()
+            if len(recent) < MIN_SAMPLES or recent[-1].arrived - recent[0].arrived < 0.9 * STILL_S:
+                continue
+            samples = _stacked(recent)
+            problem = _movement(self._setup, *samples)
+            if not problem:
+                return samples
         raise OutputError(
             self._setup.path, f"not calibrated: {problem} within {STILL_S:.0f} s; stand still"
         )
@@ -187,39 +185,20 @@ class _Listening:
         newest = [each for each in list(self._samples) if each.measurements is not None]
         return [each for each in newest if self.now() - each.arrived < STILL_S]
 
-    def _recent_names(self) -> set[str]:
-        samples = _stacked(self._recent())
-        if samples is None:
-            return set()
-        has_come = np.isfinite(samples.positions_world).all(-1).any(0)
-        return {self._setup.marker_names[i] for i in np.flatnonzero(has_come)}
 
-    def _recent_samples(self) -> StillSamples | None:
-        """The last seconds' samples, once there are enough."""
-        recent = self._recent()
-        if len(recent) < MIN_SAMPLES or recent[-1].arrived - recent[0].arrived < 0.9 * STILL_S:
-            return None
-        return _stacked(recent)
-
-
-def _stacked(samples: list[MarkerSample]) -> StillSamples | None:
+def _stacked(samples: list[MarkerSample]) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (T, M, 3), metres, and R_world_marker (T, M, 3, 3); NaN where missing."""
     measured = [each.measurements for each in samples if each.measurements is not None]
-    if not measured:
-        return None
-    return StillSamples(
+    return (
         np.stack([each.positions_world for each in measured]),
         np.stack([each.orientations_world for each in measured]),
     )
 
 
-def _movement(setup: LiveSetup, samples: StillSamples) -> str:
+def _movement(setup: LiveSetup, positions_world: np.ndarray, R_world_marker: np.ndarray) -> str:
     """Which device moves, in a sentence; empty where all stand still."""
-    for name, points, R in zip(
-        setup.marker_names,
-        samples.positions_world.swapaxes(0, 1),
-        samples.R_world_marker.swapaxes(0, 1),
-        strict=True,
-    ):
+    columns = positions_world.swapaxes(0, 1), R_world_marker.swapaxes(0, 1)
+    for name, points, R in zip(setup.marker_names, *columns, strict=True):
         points = points[np.isfinite(points).all(-1)]
         moved = np.sqrt(np.sum(np.var(points, 0))) if len(points) else 0.0
         if moved > STILL_M:
@@ -233,23 +212,18 @@ def _movement(setup: LiveSetup, samples: StillSamples) -> str:
     return ""
 
 
-def _mean(samples: StillSamples) -> tuple[np.ndarray, np.ndarray]:
+def _mean(positions_world: np.ndarray, R_world_marker: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Median positions (M, 3) and mean orientations (M, 3, 3); NaN where there were none."""
-    count = samples.positions_world.shape[1]
+    count = positions_world.shape[1]
     positions, R_mean = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
     for i in range(count):
-        points, R = samples.positions_world[:, i], samples.R_world_marker[:, i]
+        points, R = positions_world[:, i], R_world_marker[:, i]
         points, R = points[np.isfinite(points).all(-1)], R[np.isfinite(R).all((1, 2))]
         if len(points) >= MIN_SAMPLES:
             positions[i] = np.median(points, 0)
         if len(R) >= MIN_SAMPLES:
             R_mean[i] = Rotation.from_matrix(R).mean().as_matrix()
     return positions, R_mean
-
-
-def _is_by_height(setup: LiveSetup) -> bool:
-    """Whether height and arms may be measured: neither a static trial nor a file states them."""
-    return not setup.subject or "height" in setup.subject
 
 
 def _put_into(setup: LiveSetup, result: StandingCalibration) -> None:
@@ -259,7 +233,12 @@ def _put_into(setup: LiveSetup, result: StandingCalibration) -> None:
     top = tomllib.loads(text)
     try:
         for name, entry in top["markers"]["on"].items():
-            if changes := _marker_changes(name, entry, result):
+            changes: dict[str, Any] = {}
+            if name in result.orientations and entry.get("turn") is not False:
+                changes["turn"] = _rounded("turn", result.orientations[name])
+            if name in result.offsets:
+                changes["offset"] = _rounded("offset", result.offsets[name])
+            if changes:
                 text = _with_marker(text, name, {**entry, **changes}, changes)
         if result.height is not None:
             text = replace_entries(text, "subject", {"height": _rounded("height", result.height)})
@@ -274,18 +253,6 @@ def _put_into(setup: LiveSetup, result: StandingCalibration) -> None:
         lines = "; ".join(_summary(setup, result))
         raise InputError(path, f"{error}: put the lines in by hand: {lines}") from None
     write_text(path, text)
-
-
-def _marker_changes(
-    name: str, entry: Mapping[str, Any], result: StandingCalibration
-) -> dict[str, Any]:
-    """What changes of an entry of [markers.on]."""
-    changes: dict[str, Any] = {}
-    if name in result.orientations and entry.get("turn") is not False:
-        changes["turn"] = _rounded("turn", result.orientations[name])
-    if name in result.offsets:
-        changes["offset"] = _rounded("offset", result.offsets[name])
-    return changes
 
 
 def _with_marker(text: str, name: str, entry: Mapping[str, Any], changes: Mapping[str, Any]) -> str:
@@ -319,13 +286,3 @@ def _summary(setup: LiveSetup, result: StandingCalibration) -> list[str]:
         if measured:
             lines.append(f"{name}: {', '.join(measured)}")
     return [*lines, *(f"warning: {each}" for each in result.warnings), f"written  {setup.path}"]
-
-
-def _figures(result: StandingCalibration) -> dict[str, Any]:
-    return {
-        "height_m": result.height,
-        "lengths_m": dict(result.lengths),
-        "turn_wxyz": {name: list(each) for name, each in result.orientations.items()},
-        "offset_m": {name: list(each) for name, each in result.offsets.items()},
-        "warnings": list(result.warnings),
-    }

@@ -128,7 +128,8 @@ class LiveRecording:
         if self._thread.is_alive():
             self._problems[MARKERS_FILE] = "the disk does not answer"
             return self.path
-        for name, close in self._open_files():
+        videos_on_disk = ((video.path.name, video.close) for video in self._videos.values())
+        for name, close in ((MARKERS_FILE, self._lines.close), *videos_on_disk):
             try:
                 close()
             except (OSError, FFmpegError, ValueError) as error:
@@ -140,10 +141,6 @@ class LiveRecording:
         self._remove(self._empty_files())
         self.path = self.path if self.path and self.path.exists() else None
         return self.path
-
-    def _open_files(self) -> list[tuple[str, Callable[[], None]]]:
-        videos_on_disk = [(video.path.name, video.close) for video in self._videos.values()]
-        return [(MARKERS_FILE, self._lines.close), *videos_on_disk]
 
     def _header(self) -> str:
         parts = (*"xyz", "qw", "qx", "qy", "qz")
@@ -258,16 +255,11 @@ def check_free(setup: LiveSetup, folder: str | Path) -> None:
     check_file_name(folder)
     check_folder_writable(folder)
     remove_stale_temporaries(folder)
-    taken = [name for name in _file_names(setup) if os.path.lexists(folder / name)]
-    if taken:
+    videos = (_video_name(setup, i) for i in range(len(setup.videos)))
+    names = (MARKERS_FILE, RECORDING_FILE, *videos, *_copies(setup))
+    if taken := [name for name in names if os.path.lexists(folder / name)]:
         problem = f"holds {comma_list(taken)} already, which is not overwritten"
         raise InputError(folder, f"{problem}; expected another folder")
-
-
-def _file_names(setup: LiveSetup) -> list[str]:
-    """Every file that a run may write."""
-    videos = [_video_name(setup, i) for i in range(len(setup.videos))]
-    return [MARKERS_FILE, RECORDING_FILE, *videos, *_copies(setup)]
 
 
 def _video_name(setup: LiveSetup, camera: int) -> str:

@@ -140,7 +140,9 @@ def live_summary(figures: Mapping[str, Any]) -> str:
     rows = {
         "ran": f"{figures['seconds']:.1f} s",
         "poses": f"{figures['outputs']}, {figures['rate_hz']:.1f} a second",
-        "latency": _latency(latency),
+        "latency": f"{latency['median']:.1f} ms (median), {latency['p99']:.1f} ms (99 %)"
+        if np.isfinite(latency["median"])
+        else "",
         "dropped": ", ".join(f"{count} {what}" for what, count in dropped.items()),
         "packets": f"{figures['packets']}" + (f"; ignored: {ignored}" if ignored else ""),
         "frames": ", ".join(
@@ -149,9 +151,3 @@ def live_summary(figures: Mapping[str, Any]) -> str:
         "written": figures["recording"] and printable(figures["recording"]),
     }
     return "\n".join(f"{name.ljust(8)}{text}" for name, text in rows.items() if text)
-
-
-def _latency(latency: Mapping[str, float]) -> str:
-    if not np.isfinite(latency["median"]):
-        return ""
-    return f"{latency['median']:.1f} ms (median), {latency['p99']:.1f} ms (99 %)"

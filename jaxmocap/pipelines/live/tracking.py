@@ -140,14 +140,12 @@ class LiveTracking:
         points = len(self.tracker.model.markers.bones)
         self._recent_markers = RecentMarkers(points)
         self._filtered = None if self._filter is None else self._filter.init(points)
-        self._smoother = self._new_smoother() if self.needs_colour else None
+        model, settings = self.tracker.model, self.tracker.settings.smoothing
+        self._smoother = FixedLagSmoother(model, settings) if self.needs_colour else None
         self._pending: list[MarkerSample | LiveFrame] = []
         # Of each event behind the smoother: its sample's arrival, or None.
         self._arrivals: deque[tuple[int, float | None]] = deque()
         self._events = 0
-
-    def _new_smoother(self) -> FixedLagSmoother:
-        return FixedLagSmoother(self.tracker.model, self.tracker.settings.smoothing)
 
     def _warm_up(self) -> None:
         """Compile in a thread beside: what the markers' poses need, then the rest."""
@@ -157,18 +155,13 @@ class LiveTracking:
         self._compiling = beside.submit(other._rehearse)
         beside.shutdown(wait=False)
 
-    def _standing(self) -> np.ndarray:
-        """Markers (M, 3) of somebody who stands still, metres."""
-        model = self.tracker.model
-        frames = forward(model.skeleton, relaxed_pose(model.skeleton))
-        return np.asarray(site_positions(model.skeleton, frames, model.markers), float)
-
     def _rehearse(self) -> None:
         """Track somebody who stands still, by markers alone, then before a grey wall."""
-        points = self._standing()
+        model = self.tracker.model
+        frames = forward(model.skeleton, relaxed_pose(model.skeleton))
+        points = np.asarray(site_positions(model.skeleton, frames, model.markers), float)
         jax.block_until_ready(self.tracker.solve(self.tracker.init(points), points))
         self._can_solve.set()
-        model = self.tracker.model
         sizes = [] if model.cameras is None else np.asarray(model.cameras.size, int)
         for i in range(12 if self.needs_colour else 2):
             time = i / 30

@@ -21,7 +21,6 @@ from jaxmocap.formats.cameras.calibration import camera_of, read_sections
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.files.writing import replacing, write_text
-from jaxmocap.geometry.cameras import Camera
 from jaxmocap.modelling.measurements import girths
 from jaxmocap.modelling.person import PersonModel, StanceError, person_model
 from jaxmocap.modelling.personal import PersonalModel, personal_model
@@ -97,15 +96,24 @@ def model_from(
         InputError: a photograph or the calibration cannot be used.
     """
     start = perf_counter()
-    cameras = _cameras(calibration)
+    # The front's also took the arms where they have no section.
+    sections, needed = read_sections(calibration), ("front", "side")
+    cameras = {
+        name: camera_of(calibration, sections, name if name in (*sections, *needed) else "front")
+        for name in PHOTOGRAPHS
+    }
     images = {name: read_photograph(files[name], cameras[name]) for name in PHOTOGRAPHS}
     views = {}
     for name, image in images.items():
         try:
             views[name] = PhotographView(person_mask(image), cameras[name])
         except PhotographError as error:
-            where = _show_refused(Path(out), name, error.picture)
-            raise InputError(files[name], f"{error.problem} (see {where})") from None
+            # What is wrong with it, as a picture beside whatever the folder holds.
+            file, picture = f"{name}{REFUSED}.png", error.picture
+            with OutputFolder(out, "refused photograph", [file]).writing() as stage:
+                write_picture(stage / file, picture)
+            problem = f"{error.problem} (see {Path(out) / file})"
+            raise InputError(files[name], problem) from None
     try:
         model = person_model(views, bottom, READINGS[reading])
     except StanceError as error:
@@ -117,17 +125,6 @@ def model_from(
     return ModelResult(model, images, views, person, reading, perf_counter() - start)
 
 
-def _cameras(calibration: str | Path) -> dict[str, Camera]:
-    """Photograph -> camera; the front's also took the arms where they have no section."""
-    sections = read_sections(calibration)
-    return {
-        name: camera_of(
-            calibration, sections, name if name in (*sections, "front", "side") else "front"
-        )
-        for name in PHOTOGRAPHS
-    }
-
-
 def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> OutputFolder:
     """The folder for a person's model, checked before any work; see ``OutputFolder``.
 
@@ -137,13 +134,6 @@ def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> Ou
     """
     pictures = [f"{name}{kind}.png" for name in PHOTOGRAPHS for kind in ("", REFUSED)]
     return OutputFolder(directory, "model", [*FILES, *pictures, *PERSON_FILES], inputs)
-
-
-def _show_refused(folder: Path, name: str, picture: np.ndarray) -> Path:
-    """What is wrong with a photograph, as a picture beside whatever the folder holds."""
-    file = f"{name}{REFUSED}.png"
-    refused = OutputFolder(folder, "refused photograph", [file])
-    return refused.write(lambda stage: [write_picture(stage / file, picture)])[0]
 
 
 def write_model(modelled: ModelResult, folder: OutputFolder) -> list[Path]:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxmocap.body.model import Model, marker_sites
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
+from jaxmocap.body.skeleton import LANDMARKS, with_joints
 from jaxmocap.body.surfaces.parts import determined_landmarks, moved_bones
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
@@ -169,12 +169,16 @@ def track_silhouettes(
     if not result.is_anybody_visible:
         where = recording.path or recording.name
         raise InputError(where, f"no camera shows the person in any frame, {ELSEWHERE}")
+    # Landmarks that the body does not move.
+    still = ~determined_landmarks(tracker.body.model.skeleton.tree)
+    listed = ", ".join(LANDMARKS[i] for i in np.flatnonzero(still))
+    at_rest = [f"not tracked by this body, kept as at rest: {listed}"] if listed else []
     constants, names = tracker.constants, [source.camera_name for source in recording.videos]
     described = {
         "recording": recording.path or recording.name,
         "cameras": names,
         "markers": recording.marker_names if markers else (),
-        "warnings": (*warnings, *_at_rest(tracker.body.model.skeleton)),
+        "warnings": (*warnings, *at_rest),
         "tracker": constants.settings,
     }
     tracked = perf_counter()
@@ -184,13 +188,6 @@ def track_silhouettes(
     report = _report(result, constants, names, plain(described))
     motion = Motion(shape.skeleton, footage.times, poses, report, recording.origin_world)
     return SilhouetteResult(motion, _masks(result, names), shape.surface)
-
-
-def _at_rest(skeleton: Skeleton) -> Iterator[str]:
-    """What a user must know of the landmarks that the body does not move."""
-    still = [LANDMARKS[i] for i in np.flatnonzero(~determined_landmarks(skeleton.tree))]
-    if still:
-        yield f"not tracked by this body, kept as at rest: {', '.join(still)}"
 
 
 def _open(recording: Recording, followed: Model | None) -> tuple[_Footage, tuple[str, ...]]:

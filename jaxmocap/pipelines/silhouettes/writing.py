@@ -14,13 +14,11 @@ from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.mesh import coarser
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.capture.photographs import picture_of
-from jaxmocap.capture.video import FrameSource, TimedImage, open_video
+from jaxmocap.capture.video import TimedImage, open_video
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.canvases import full_mask
 from jaxmocap.images.regions import Region
-from jaxmocap.outputs.overlay import write_overlay
-from jaxmocap.outputs.report import write_report
 from jaxmocap.outputs.viewer import Footage, write_rerun
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.silhouettes.person import Person
@@ -33,7 +31,7 @@ from jaxmocap.pipelines.writing import (
     ignore_warning,
     inputs_of,
     overlay_names,
-    write_motion,
+    write_numbers,
     write_overlays,
 )
 
@@ -76,7 +74,8 @@ def write_results(
         OutputError: the disk is full; every file that is there is complete.
     """
     folder, skin = results_folder(directory, recording, inputs), _skin(result, person)
-    files = folder.write(lambda stage: _write_numbers(result, recording, stage, skin, warn))
+    motion = result.motion
+    files = folder.write(lambda stage: write_numbers(motion, recording, stage, (), *skin, warn))
     return files + folder.write(
         lambda stage: _write_pictures(result, recording, stage, skin, progress)
     )
@@ -100,26 +99,8 @@ def write_into(
 ) -> list[Path]:
     """The same into a folder that is there, of which nothing is asked."""
     skin = _skin(result, person)
-    files = _write_numbers(result, recording, folder, skin)
+    files = write_numbers(result.motion, recording, folder, (), *skin)
     return files + _write_pictures(result, recording, folder, skin, progress)
-
-
-def _write_numbers(
-    result: SilhouetteResult,
-    recording: Recording,
-    folder: Path,
-    skin: tuple[Surface, bytes | None],
-    warn: Warn = ignore_warning,
-) -> list[Path]:
-    """The motion and its report."""
-    warnings: list[str] = []
-    files = write_motion(result.motion, folder, *skin, warnings.append)
-    files.append(folder / "report.json")
-    extra = {"recording": recording.path or recording.name, "warnings": warnings}
-    write_report(files[-1], result.motion, extra)
-    for sentence in warnings:
-        warn(sentence)
-    return files
 
 
 def _write_pictures(
@@ -137,7 +118,10 @@ def _write_pictures(
             show, sum(2 * len(video) + viewer_frame_count(video) for video in videos)
         )
         files = write_overlays(motion, recording, videos, folder, {}, counter)
-        files += _write_segmentations(result, recording, videos, folder, counter)
+        # The person tinted as segmented, and the body over that.
+        segmented = lambda name, frames: tinted(frames, result.masks[name])  # noqa: E731
+        where = motion, recording, videos, folder, {}, counter
+        files += write_overlays(*where, "segmentation", segmented)
         files.append(folder / "recording.rrd")
         footage = {
             source.camera_name: Footage(source.camera, counter.over(viewer_frames(video)))
@@ -154,23 +138,6 @@ def _skin(result: SilhouetteResult, person: Person | None) -> tuple[Surface, byt
         return person.surface, person.picture
     nodes = rest_nodes(result.surface, rest_joints(result.motion.skeleton))
     return coarser(result.surface, nodes, SKIN_M), None
-
-
-def _write_segmentations(
-    result: SilhouetteResult,
-    recording: Recording,
-    videos: list[FrameSource],
-    folder: Path,
-    counter: FrameCounter,
-) -> list[Path]:
-    """The frames with the person tinted as segmented, and the body over them."""
-    files = []
-    names = overlay_names(recording, "segmentation")
-    for name, source, video in zip(names, recording.videos, videos, strict=True):
-        files.append(folder / name)
-        frames = tinted(counter.over(video.frames()), result.masks[source.camera_name])
-        write_overlay(files[-1], frames, source.camera, result.motion, rate=video.fps or 30.0)
-    return files
 
 
 def tinted(frames: Iterable[TimedImage], masks: Masks) -> Iterator[TimedImage]:

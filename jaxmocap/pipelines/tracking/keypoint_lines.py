@@ -1,7 +1,7 @@
 """Where a recording's key points put the tracked person, at the events of a run.
 
-INPUTS: a recording, its videos; the poses that markers alone gave.
-OUTPUTS: key points, read and checked; lines of sight of every event.
+INPUTS: a recording, its videos' key points; the poses that markers alone gave.
+OUTPUTS: lines of sight of every event.
 """
 
 from collections.abc import Sequence
@@ -13,22 +13,10 @@ import numpy as np
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import landmark_rows
-from jaxmocap.capture.keypoints import Keypoints, marked_landmarks, open_keypoints, select_person
+from jaxmocap.capture.keypoints import Keypoints, marked_landmarks, select_person
 from jaxmocap.capture.timeline import Timeline
-from jaxmocap.capture.video import FrameSource
 from jaxmocap.evidence.keypoints import SightLines, lines_of_sight
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
-
-
-def open_all_keypoints(
-    recording: Recording, videos: Sequence[FrameSource]
-) -> tuple[Keypoints | None, ...]:
-    """The key points of each video, None where it has none.
-
-    Raises:
-        InputError: what cannot be read, or not be lined up with its video.
-    """
-    return tuple(map(open_keypoints, recording.videos, videos))
 
 
 def lines_at_events(

@@ -96,7 +96,11 @@ def followed(
         covariance = person.covariance
         model = fitted_model(model, jax.tree.map(jnp.asarray, person.person))
         fit = FIT_POSES(model, person.poses, markers[chosen], _tails(model, TAILS))
-        sentence = _sentence(markers[chosen], before, fit)
+        off_cm = [100 * np.nanmedian(np.asarray(each.distances)) for each in (before, fit)]
+        sentence = (
+            f"bone lengths and the places of {markers.shape[1]} markers, to {len(chosen)} samples: "
+            f"off by {off_cm[0]:.1f} cm before, {off_cm[1]:.1f} cm after (median)"
+        )
     other = copy(tracker)
     other.model = model
     poses = _along(model, markers, chosen, fit.poses, show)
@@ -147,18 +151,6 @@ def _along(model: Model, markers: np.ndarray, chosen: np.ndarray, poses: Pose, s
             whole[now] = part
         show(min((step + 1) * len(lanes), count), count)
     return parts
-
-
-def _sentence(markers: np.ndarray, before: PosesFit, after: PosesFit) -> str:
-    samples, count = markers.shape[:2]
-    return (
-        f"bone lengths and the places of {count} markers, to {samples} samples: off by "
-        f"{100 * _off(before):.1f} cm before, {100 * _off(after):.1f} cm after (median)"
-    )
-
-
-def _off(fit: PosesFit) -> float:
-    return float(np.nanmedian(np.asarray(fit.distances)))
 
 
 def _first_pass(events: RecordingEvents, tracker: HybridTracker, poses: Pose) -> FirstPass:

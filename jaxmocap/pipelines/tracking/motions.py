@@ -132,7 +132,10 @@ def _columns(
 ) -> dict[str, np.ndarray | Array]:
     """Of the report, field -> (E, ...) of the events."""
     assert trajectory.deviations is not None and trajectory.from_prior is not None
-    errors, turns = _errors_and_swivels(model, person, first_pass, trajectory.poses)
+    # Distances (E, M) of markers from the body, metres; turns (E, 2) of elbows by the video.
+    each = trajectory.poses, first_pass.reports.marker_pose, first_pass.markers_world
+    each = jax.tree.map(lambda part: np.asarray(part, model.dtype), each)
+    errors, turns = in_batches(partial(_compared, model, person), each, EVENTS_A_CALL)
     return {
         "marker_errors": errors,
         "arm_costs": first_pass.reports.outline_px,
@@ -152,16 +155,6 @@ def _warnings(
         unsure = map(warnings.of_elbows, elbow_deviations[len(before) :])
         listed = [(*own, *more) for own, more in zip(listed, unsure, strict=True)]
     return before + tuple(listed)
-
-
-def _errors_and_swivels(
-    model: Model, person: Skeleton, first_pass: FirstPass, poses: Pose
-) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (E, M) of markers from the body, metres; turns (E, 2) of elbows by the video."""
-    each = poses, first_pass.reports.marker_pose, first_pass.markers_world
-    each = jax.tree.map(lambda part: np.asarray(part, model.dtype), each)
-    errors, turns = in_batches(partial(_compared, model, person), each, EVENTS_A_CALL)
-    return errors, turns
 
 
 @jax.jit

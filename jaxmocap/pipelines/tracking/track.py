@@ -10,7 +10,7 @@ INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its R
 
 from collections.abc import Callable
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -22,7 +22,7 @@ from jaxmocap.capture.checks.lengths import check_stretched_arms
 from jaxmocap.capture.filters import Cleaning, check_cutoff, filter_markers
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.frame_cache import cached_frames
-from jaxmocap.capture.keypoints import Keypoints
+from jaxmocap.capture.keypoints import Keypoints, open_keypoints
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.compilation.clock import Clock
@@ -34,7 +34,7 @@ from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
-from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events, open_all_keypoints
+from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events
 from jaxmocap.pipelines.tracking.marked import MarkedPass, followed, is_marked
 from jaxmocap.pipelines.tracking.motions import Tracked, gathered, low_passed, motions, unsmoothed
 from jaxmocap.smoothing.batch import smooth_recording
@@ -132,8 +132,18 @@ def track_both(
                 "smooth", _smoothed, opened, events, tracker, first,
                 lambda share: show(round(100 * share), 100),
             )  # fmt: skip
-    figures = _run_figures(recording, mode, opened, tracker.settings) | {
-        "camera_turns_deg": _turns_deg(recording, trajectory),
+    cameras = [source.camera_name for source in recording.videos]
+    # Each camera's estimated rotation against its calibration, a vector in its frame.
+    turns = [] if trajectory is None else np.degrees(trajectory.turns_cam).tolist()
+    figures = {
+        "recording": recording.path or recording.name,
+        "mode": mode,
+        "cameras": cameras,
+        "markers": recording.marker_names,
+        "warnings": opened.warnings,
+        "filters": opened.cleaning.figures(),
+        "tracker": tracker.settings,
+        "camera_turns_deg": dict(zip(cameras, turns, strict=False)),
         "latency": {"video frames": DELAY_FRAMES, "seconds": DELAY_S} if smoother else {},
         "video_frames": int((events.timeline.frame_index >= 0).any(-1).sum()) if used else 0,
         "seconds": {"first pass": passed - began, "second pass": perf_counter() - passed},
@@ -145,21 +155,6 @@ def track_both(
     if cutoff:
         ended = ended._replace(poses=_low_passed(events, ended.poses, tracker, cutoff))
     return motions(tracker.model, events, first, ended, clock.milliseconds, plain(figures))
-
-
-def _run_figures(
-    recording: Recording, mode: Mode, opened: "Opened", settings: Settings
-) -> dict[str, Any]:
-    """What was tracked, and with which settings, for the report."""
-    return {
-        "recording": recording.path or recording.name,
-        "mode": mode,
-        "cameras": [source.camera_name for source in recording.videos],
-        "markers": recording.marker_names,
-        "warnings": opened.warnings,
-        "filters": opened.cleaning.figures(),
-        "tracker": settings,
-    }
 
 
 class Opened(NamedTuple):
@@ -195,7 +190,7 @@ def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
         warnings += tuple(f"{recording.path}: {finding.sentence}" for finding in stretched)
     recording, cleaning = filter_markers(recording, causal=mode == "causal")
     warnings += cleaning.warnings
-    keypoints = open_all_keypoints(recording, videos)
+    keypoints = tuple(map(open_keypoints, recording.videos, videos))
     warnings += tuple(warning for each in keypoints if each for warning in each.warnings)
     return Opened(recording, videos, keypoints, cleaning, warnings)
 
@@ -234,12 +229,6 @@ def _low_passed(
     for part, new in zip(poses, filtered, strict=True):
         part[rows] = new
     return poses
-
-
-def _turns_deg(recording: Recording, trajectory: Trajectory | None) -> dict[str, list[float]]:
-    """Camera -> its estimated rotation against its calibration, a vector in its frame, degrees."""
-    turns = [] if trajectory is None else np.degrees(trajectory.turns_cam).tolist()
-    return dict(zip((source.camera_name for source in recording.videos), turns, strict=False))
 
 
 def make_tracker(recording: Recording, settings: Settings | None = None) -> HybridTracker:
