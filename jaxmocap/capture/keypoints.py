@@ -142,7 +142,7 @@ def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: floa
 
 
 def select_person(
-    keypoints: Keypoints, camera: Camera, points_world: np.ndarray, gate_m: float = PERSON_GATE_M
+    keypoints: Keypoints, camera: Camera, points_world: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The tracked person's detections among everybody's, frame by frame.
 
@@ -151,7 +151,6 @@ def select_person(
         camera: that took them.
         points_world: (F, P, 3) where the key points' landmarks are at the frames' times, metres,
             as far as that is predicted: NaN elsewhere.
-        gate_m: metres; see ``choose_person``.
 
     Returns:
         (F, P, 2) pixels, NaN where missing, and (F, P) confidences, 0 where missing or where the
@@ -164,7 +163,7 @@ def select_person(
     pixels_xy = np.full(keypoints.pixels_xy[:, 0].shape, np.nan)
     confidences = np.zeros(pixels_xy.shape[:-1])
     for frame in np.flatnonzero(np.isfinite(depths).any(-1)):
-        gate_px = gate_m * float(pixels_per_metre(camera, np.nanmedian(depths[frame])))
+        gate_px = PERSON_GATE_M * float(pixels_per_metre(camera, np.nanmedian(depths[frame])))
         person = choose_person(keypoints.pixels_xy[frame], predicted_xy[frame], gate_px)
         if person >= 0:
             pixels_xy[frame] = keypoints.pixels_xy[frame, person]
@@ -172,21 +171,18 @@ def select_person(
     return pixels_xy, confidences
 
 
-def marked_landmarks(
-    recording: Recording, landmarks: Sequence[str], at: np.ndarray, causal: bool = False
-) -> np.ndarray:
+def marked_landmarks(recording: Recording, landmarks: Sequence[str], at: np.ndarray) -> np.ndarray:
     """Where those landmarks are that a marker sits on: what the tracked person is selected by.
 
     Args:
         recording: with its markers; their offsets, some centimetres, are left out.
         landmarks: names of P landmarks.
         at: (F,) seconds of marker time.
-        causal: use no marker sample later than each time.
 
     Returns:
         (F, P, 3) metres, world; NaN where there is no marker or it is missing.
     """
-    positions = interpolate_markers(recording.times, recording.positions_world, at, causal)
+    positions = interpolate_markers(recording.times, recording.positions_world, at)
     points = np.full((len(at), len(landmarks), 3), np.nan)
     for marker, place in enumerate(recording.places):
         name = _landmark_at(recording.skeleton.tree, place)

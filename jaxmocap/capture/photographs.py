@@ -38,9 +38,8 @@ def read_photograph(path: str | Path, camera: Camera) -> np.ndarray:
     width, height = (int(n) for n in np.asarray(camera.size))
     if image.shape[:2] != (height, width):
         size = f"{image.shape[1]} x {image.shape[0]}"
-        raise InputError(
-            path, f"found an image of {size} pixels, the calibration states {width} x {height}"
-        )
+        problem = f"found an image of {size} pixels, the calibration states {width} x {height}"
+        raise InputError(path, problem)
     return image
 
 

@@ -162,9 +162,8 @@ class Video(FrameSource):
         first, last = (tick * (int(stamp) - start) for stamp in stamps[[0, -1]])
         if not -MAX_DURATION_S <= first <= last <= MAX_DURATION_S:
             problem = f"found frames {first:.4g} to {last:.4g} s after its start"
-            raise InputError(
-                self.path, f"{problem}, expected within {MAX_DURATION_S / 86400:g} days"
-            )
+            problem = f"{problem}, expected within {MAX_DURATION_S / 86400:g} days"
+            raise InputError(self.path, problem)
         return (stamps - start) * tick
 
     def frames(self, luma: bool = False) -> Iterator[TimedImage]:

@@ -128,9 +128,9 @@ def convert_file(
     elif kinds[1] in MARKER_SUFFIXES:
         _write_markers(conversion, _joints_as_markers(conversion, _read_motion(conversion)))
     elif kinds[1] in DEFAULT_CONVENTION:
-        _write_armature(conversion, _as_armature(conversion, _read_motion(conversion)))
+        _write_armature(conversion, _read_motion(conversion))
     else:
-        _write_motion(conversion, _as_motion(conversion, _read_motion(conversion)))
+        _write_motion(conversion, _read_motion(conversion))
     return conversion.warnings
 
 
@@ -225,14 +225,6 @@ def _body(conversion: _Conversion) -> Motion:
     return motion if isinstance(motion, Motion) else motion_of(motion, body)
 
 
-def _as_armature(conversion: _Conversion, motion: Motion | Armature) -> Armature:
-    kind, names = conversion.target.suffix.lower(), conversion.options.names
-    if isinstance(motion, Motion):
-        conversion.warnings.append("left out: masses, limits, and the report where there is one")
-        return armature_of(motion, names or DEFAULT_CONVENTION[kind])
-    return replace(motion, names=_joint_names(conversion, motion.names))
-
-
 def _joint_names(conversion: _Conversion, joints: tuple[str, ...]) -> tuple[str, ...]:
     """Names of joints in the convention asked for; joints that it does not name keep theirs."""
     if conversion.options.names is None:
@@ -243,13 +235,19 @@ def _joint_names(conversion: _Conversion, joints: tuple[str, ...]) -> tuple[str,
     return tuple(convention[ours[name]] if name in ours else name for name in joints)
 
 
-def _write_armature(conversion: _Conversion, armature: Armature) -> None:
+def _write_armature(conversion: _Conversion, motion: Motion | Armature) -> None:
+    kind, names = conversion.target.suffix.lower(), conversion.options.names
+    if isinstance(motion, Motion):
+        conversion.warnings.append("left out: masses, limits, and the report where there is one")
+        armature = armature_of(motion, names or DEFAULT_CONVENTION[kind])
+    else:
+        armature = replace(motion, names=_joint_names(conversion, motion.names))
     if conversion.options.rate is not None:
         columns = 9 * len(armature.names)
         times = even_times(armature.times, conversion.options.rate, columns, conversion.source)
         armature = resampled_armature(armature, times)
     armature = rotated_armature(armature, R_FILE_WORLD)
-    if conversion.target.suffix.lower() == ".glb":
+    if kind == ".glb":
         write_gltf(conversion.target, armature)
         return
     if unknown := int((~armature.is_valid).sum()):
@@ -267,23 +265,18 @@ def _write_armature(conversion: _Conversion, armature: Armature) -> None:
     )
 
 
-def _as_motion(conversion: _Conversion, motion: Motion | Armature) -> Motion:
-    if isinstance(motion, Motion):
-        return motion
-    converted = motion_of(motion, conversion.source)
-    if conversion.target.suffix.lower() == ".npz":
-        conversion.warnings.append(
-            "added: masses, girths and limits of a person with bones as long"
-        )
-    return converted
-
-
-def _write_motion(conversion: _Conversion, motion: Motion) -> None:
+def _write_motion(conversion: _Conversion, motion: Motion | Armature) -> None:
+    kind = conversion.target.suffix.lower()
+    if isinstance(motion, Armature):
+        motion = motion_of(motion, conversion.source)
+        if kind == ".npz":
+            made_up = "added: masses, girths and limits of a person with bones as long"
+            conversion.warnings.append(made_up)
     if conversion.options.rate is not None:
         columns = 9 * len(motion.skeleton.tree.bones)
         times = even_times(motion.times, conversion.options.rate, columns, conversion.source)
         motion = resampled_motion(motion, times)
-    if conversion.target.suffix.lower() == ".npz":
+    if kind == ".npz":
         save_motion(conversion.target, motion)
     elif conversion.options.names == OPENSIM:
         conversion.warnings += write_opensim(conversion.target, motion)

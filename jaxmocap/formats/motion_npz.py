@@ -228,9 +228,8 @@ def _report(file: NpzArrays, count: int) -> Report:
     spent = file.read(dict.fromkeys(stages, _MILLISECONDS_SPEC))
     for name in stages:
         if not name.isprintable() or name == _STAGE_PREFIX:
-            raise InputError(
-                file.path, f"{short_repr(name)}: expected a stage's name after the point"
-            )
+            problem = f"{short_repr(name)}: expected a stage's name after the point"
+            raise InputError(file.path, problem)
     statuses = _statuses(file.path, str(arrays["report.statuses"]), count)
     text = str(arrays["report.settings"])
     settings = parse_json(file.path, text, _MAX_SETTINGS_CHARACTERS, allow_nan=True)

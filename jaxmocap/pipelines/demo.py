@@ -21,7 +21,6 @@ from jaxmocap.evaluation.plots import plot_elbow_errors
 from jaxmocap.evaluation.tables import format_table
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
-from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.pipelines.summary import frames_per_second
 from jaxmocap.pipelines.tracking.track import make_tracker, track, track_both
@@ -110,7 +109,9 @@ def demonstrate(
     ):
         person = {"height": HEIGHT_M, "progress": show, "detail": DETAIL}
         written = renderer.submit(write_table_tennis, stage, seconds, seed, **person)
-        tracker = compiled_tracker()
+        standing = standing_recording(1)
+        tracker = make_tracker(standing)
+        track(standing, tracker=tracker, progress=False)
         written.result()
     recording = Recording.load(recording_folder.path / "recording.toml")
     tracked = track_both(recording, progress=progress, tracker=tracker)
@@ -124,14 +125,6 @@ def demonstrate(
         return [*files, stage / PLOT_FILE]
 
     return Demonstration(tracked.motion, before, after, folder.write(write))
-
-
-def compiled_tracker() -> HybridTracker:
-    """The demo's tracker, compiled by a step on ``standing_recording``."""
-    recording = standing_recording(1)
-    tracker = make_tracker(recording)
-    track(recording, tracker=tracker, progress=False)
-    return tracker
 
 
 def standing_recording(count: int) -> Recording:

@@ -22,7 +22,7 @@ from jaxmocap.formats.files.toml import read_toml
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.demo import standing_recording
-from jaxmocap.pipelines.kept_programs import cache_folder, keep_compiled
+from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.live.setup import LiveSetup, load_live
 from jaxmocap.pipelines.live.tracking import LiveTracking
 from jaxmocap.pipelines.tracking.track import make_tracker, track
@@ -147,7 +147,7 @@ def first_half_second(recording: Recording) -> Recording:
 
 
 @contextmanager
-def counting_compilations(counts: CompilationCounts, most: int = 4) -> Iterator[None]:
+def counting_compilations(counts: CompilationCounts) -> Iterator[None]:
     """Count what JAX compiles meanwhile, and what it reads from its cache; name the longest."""
     spent: dict[str, float] = {}
 
@@ -167,15 +167,5 @@ def counting_compilations(counts: CompilationCounts, most: int = 4) -> Iterator[
     finally:
         jax.monitoring.unregister_event_duration_listener(on_duration)
         jax.monitoring.unregister_event_listener(on_event)
-        longest = sorted(spent.items(), key=lambda pair: -pair[1])[:most]
+        longest = sorted(spent.items(), key=lambda pair: -pair[1])[:4]
         counts.longest.update({name.strip("_"): round(time, 3) for name, time in longest})
-
-
-def compilation_text(counts: list[CompilationCounts]) -> str:
-    """What was compiled, and where it is kept."""
-    return "\n".join([*(each.text() for each in counts), f"kept in {cache_folder()}"])
-
-
-def compilation_figures(counts: list[CompilationCounts]) -> dict:
-    """The same counts for JSON."""
-    return {"modes": [each.figures() for each in counts], "kept_in": str(cache_folder())}

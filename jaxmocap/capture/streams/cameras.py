@@ -124,7 +124,9 @@ class LiveCamera(Listener):
                         self._on_frame(LiveFrame(self._index, exposed, image, arrived))
             except (FFmpegError, OSError, InputError) as error:
                 # A camera that is away is asked for again.
-                self.reason = _why(error)
+                reason = error.strerror if isinstance(error, OSError) else None
+                reason = error.problem if isinstance(error, InputError) else reason
+                self.reason = reason or type(error).__name__
             if self.frames:
                 self.status = "gone" if self._is_retried else "ended"
             if not self._is_retried:
@@ -140,12 +142,6 @@ class LiveCamera(Listener):
             self.problem = f"images of {width} × {height} pixels, calibrated for {expected}"
             self.status = "ended"
         return self.problem is None
-
-
-def _why(error: Exception) -> str:
-    if isinstance(error, InputError):
-        return error.problem
-    return (isinstance(error, OSError) and error.strerror) or type(error).__name__
 
 
 def _opener(video: LiveVideo, colour: bool, stop: Event) -> Callable[[], Images]:
@@ -257,7 +253,6 @@ def _camera_source(fields: TomlTable) -> int | Path | str:
         return fields.file("file")
     url = fields.text("url")
     if not _URL.fullmatch(url):
-        raise fields.error(
-            "url", f"found {short_repr(url)}, expected an address such as rtsp://..."
-        )
+        problem = f"found {short_repr(url)}, expected an address such as rtsp://..."
+        raise fields.error("url", problem)
     return url

@@ -103,7 +103,10 @@ def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
             raise BadPacketError("malformed")
         try:
             if read is None:
-                stamp = _stamp(message)
+                (stamp,) = _arguments(message, 0, 1)[1]
+                # Such seconds are too coarse to keep a rhythm.
+                if _tags(message)[0][0] == "f" and abs(stamp) >= COARSE_STAMP_S:
+                    stamp = None
             else:
                 markers.append(read(message, address))
         except BadPacketError as why:
@@ -182,13 +185,6 @@ def _tags(message: bytes) -> tuple[str, int]:
     if end < 0 or message[start : start + 1] != b",":
         raise BadPacketError("malformed")
     return message[start + 1 : end].decode("ascii", "replace"), (end // 4 + 1) * 4
-
-
-def _stamp(message: bytes) -> float | None:
-    """The sender's seconds; None where they are too coarse to keep a rhythm."""
-    (seconds,) = _arguments(message, 0, 1)[1]
-    is_coarse = _tags(message)[0][0] == "f" and abs(seconds) >= COARSE_STAMP_S
-    return None if is_coarse else seconds
 
 
 def _device(message: bytes, address: bytes) -> MarkerMessage:

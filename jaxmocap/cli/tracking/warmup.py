@@ -25,6 +25,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> None:
     from jaxmocap.formats.recordings.recording import Recording
     from jaxmocap.pipelines import warmup
+    from jaxmocap.pipelines.kept_programs import cache_folder
 
     subject = warmup.load_or_standing(options.recording)
     settings = settings_of(options)
@@ -32,7 +33,10 @@ def _run(options: argparse.Namespace) -> None:
         compilations = warmup.warm_up(subject, settings)
     else:
         compilations = warmup.warm_up_live(subject, settings)
-    report(options, warmup.compilation_text(compilations), warmup.compilation_figures(compilations))
+    folder = cache_folder()
+    lines = [*(each.text() for each in compilations), f"kept in {folder}"]
+    figures = {"modes": [each.figures() for each in compilations], "kept_in": str(folder)}
+    report(options, "\n".join(lines), figures)
 
 
 COMMAND = Command(

@@ -73,9 +73,8 @@ def read_bvh(path: str | Path, unit: str | None = None) -> Armature:
         if j == 0:
             positions = local_positions
         elif len(local_positions) and np.ptp(local_positions, axis=0).max() > MAX_SLIDE_M:
-            raise InputError(
-                path, f"joint {short_repr(joint.name)} slides by more than a millimetre"
-            )
+            problem = f"joint {short_repr(joint.name)} slides by more than a millimetre"
+            raise InputError(path, problem)
         else:
             offsets[j] = local_positions[0]
     _check_extent(path, positions)

@@ -123,14 +123,10 @@ def _animation(binary: BinaryChunk, armature: Armature) -> dict[str, Any]:
     channel(0, "translation", armature.positions)
     for j in range(len(armature.names)):
         if np.abs((R := armature.rotations[:, j]) - np.eye(3)).max() > 0:
-            channel(j, "rotation", _quaternions(R))
+            # Each of the sign nearest to the one before: players interpolate.
+            xyzw = Rotation.from_matrix(R).as_quat()
+            turns = np.where(np.sum(xyzw[1:] * xyzw[:-1], -1) < 0, -1.0, 1.0)
+            signs = np.cumprod(np.concatenate([[1.0], turns]))
+            channel(j, "rotation", xyzw * signs[:, None])
     extras = {"start": float(times[0])}
     return {"name": "motion", "channels": channels, "samplers": samplers, "extras": extras}
-
-
-def _quaternions(R: np.ndarray) -> np.ndarray:
-    """(T, 4) xyzw of (T, 3, 3), each of the sign nearest to the one before: players interpolate."""
-    quaternions = Rotation.from_matrix(R).as_quat()
-    products = np.sign(np.sum(quaternions[1:] * quaternions[:-1], -1))
-    signs = np.cumprod(np.concatenate([[1.0], np.where(products < 0, -1.0, 1.0)]))
-    return quaternions * signs[:, None]

@@ -197,16 +197,14 @@ def _skeleton_of(
     bone_vectors: dict[int, np.ndarray] = {}
     for joint, j in index.items():
         if parent_of[joint] != by_index.get(armature.parents[j]):
-            raise InputError(
-                path, f"not our skeleton: {short_name(armature.names[j])} hangs on another joint"
-            )
+            problem = f"not our skeleton: {short_name(armature.names[j])} hangs on another joint"
+            raise InputError(path, problem)
         bone = bone_ending_at(skeleton, joint)
         vector = armature.offsets[j] if bone is None else rest[bone].T @ armature.offsets[j]
         expected = np.zeros(3) if bone is None else bone_vectors.setdefault(bone, vector)
         if np.linalg.norm(vector - expected) > MAX_OFFSET_ERROR_M:
-            raise InputError(
-                path, f"not our skeleton: {short_name(armature.names[j])} starts elsewhere"
-            )
+            problem = f"not our skeleton: {short_name(armature.names[j])} starts elsewhere"
+            raise InputError(path, problem)
     for bone, vector in bone_vectors.items():
         if (length := np.linalg.norm(vector)) > 0:
             lengths[bone], directions[bone] = length, vector / length

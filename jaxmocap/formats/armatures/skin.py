@@ -56,7 +56,12 @@ def surface_skin(
     mesh = mesh_of(surface, nodes, atlas_of(surface, nodes, TEXEL_M))
     vertices = nodes[mesh.nodes]
     names, _ = joint_tree(skeleton)
-    carriers, weights = _joints_of_nodes(skeleton, surface, names)
+    # What the pelvis and the hips, which do not move against it, carry is the root's.
+    carrying = [names.index(b) if b in names else 0 for b in skeleton.tree.bones]
+    padding = [(0, 0), (0, BONES_PER_VERTEX - surface.points.bones.shape[1])]
+    weights = np.pad(np.asarray(surface.points.shares, float), padding)
+    carriers = np.pad(np.array(carrying)[np.asarray(surface.points.bones)], padding)
+    carriers, weights = np.where(weights > 0, carriers, 0), weights / weights.sum(1, keepdims=True)
     return SkinnedMesh(
         vertices @ R_file_world.T,
         normals_of(vertices, mesh.triangles) @ R_file_world.T,
@@ -69,18 +74,6 @@ def surface_skin(
     )
 
 
-def _joints_of_nodes(
-    skeleton: Skeleton, surface: Surface, names: tuple[str, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """The joints (N, 4) that carry each of N nodes, and their weights (N, 4), together 1."""
-    # What the pelvis and the hips, which do not move against it, carry is the root's.
-    carrying = [names.index(b) if b in names else 0 for b in skeleton.tree.bones]
-    padding = [(0, 0), (0, BONES_PER_VERTEX - surface.points.bones.shape[1])]
-    weights = np.pad(np.asarray(surface.points.shares, float), padding)
-    carriers = np.pad(np.array(carrying)[np.asarray(surface.points.bones)], padding)
-    return np.where(weights > 0, carriers, 0), weights / weights.sum(1, keepdims=True)
-
-
 def check_texture(path: str | Path, skeleton: Skeleton, surface: Surface, texture: bytes) -> None:
     """InputError where a file's content is not a PNG laid out for this surface."""
     if not texture.startswith(PNG_SIGNATURE):
@@ -90,9 +83,8 @@ def check_texture(path: str | Path, skeleton: Skeleton, surface: Surface, textur
     stated = [int.from_bytes(texture[at : at + 4], "big") for at in (16, 20)]
     if stated != [atlas.width, atlas.height]:
         size, expected = f"{stated[0]} x {stated[1]}", f"{atlas.width} x {atlas.height}"
-        raise InputError(
-            path, f"a texture of {size} texels, expected {expected}, as this surface is laid out"
-        )
+        problem = f"a texture of {size} texels, expected {expected}, as this surface is laid out"
+        raise InputError(path, problem)
 
 
 def _inverse_bind_matrices(
@@ -112,9 +104,8 @@ def _check_skin(path: str | Path, surface: Surface, joints: np.ndarray, nodes: n
     """InputError where glTF cannot hold the surface."""
     bones, shares = np.asarray(surface.points.bones), np.asarray(surface.points.shares)
     if bones.shape[1] > BONES_PER_VERTEX:
-        raise InputError(
-            path, f"{bones.shape[1]} bones carry a node, expected {BONES_PER_VERTEX} at most"
-        )
+        problem = f"{bones.shape[1]} bones carry a node, expected {BONES_PER_VERTEX} at most"
+        raise InputError(path, problem)
     distances = np.linalg.norm(joints[bones] + surface.points.points_bone - nodes[:, None], axis=-1)
     worst = float(np.where(shares > 0, distances, 0).max())
     if worst > MAX_APART_M:

@@ -12,7 +12,6 @@ the order of the tangential terms, which are taken as OpenCV's p1 p2: a note say
 
 from jaxmocap.formats.calibrations.source import Source, SourceCalibration
 from jaxmocap.formats.calibrations.xml_cameras import R_CAM_OPENGL, XmlCamera, pinhole
-from jaxmocap.formats.files.toml import TomlTable
 
 NOTE = (
     "assumed: camera frames like OpenGL's and tangential terms in OpenCV's order, which OptiTrack "
@@ -23,17 +22,16 @@ MODEL = "IntrinsicStandardCameraModel"
 
 def read(source: Source) -> SourceCalibration | None:
     """All cameras; InputError where a field of one does not fit."""
-    elements = source.elements("*/Calibration/Cameras/Camera")
-    cameras = [_camera(XmlCamera(source.path, each, "Serial")) for each in elements]
+    cameras = []
+    for element in source.elements("*/Calibration/Cameras/Camera"):
+        camera = XmlCamera(source.path, element, "Serial")
+        size = camera.numbers("Attributes", "ImagerPixelWidth", "ImagerPixelHeight")
+        focal = camera.numbers(MODEL, "HorizontalFocalLength", "VerticalFocalLength")
+        centre = camera.numbers(MODEL, "LensCenterX", "LensCenterY")
+        distortions = camera.numbers(MODEL, "k1", "k2", "TangentialX", "TangentialY", "k3")
+        orientation = camera.rotation("Extrinsic", *(f"OrientMatrix{i}" for i in range(9)))
+        position = camera.numbers("Extrinsic", *"XYZ")
+        R_cam_world = R_CAM_OPENGL @ orientation.T
+        matrix = pinhole(focal, centre)
+        cameras.append(camera.section(size, matrix, distortions, R_cam_world, position))
     return SourceCalibration(cameras, "m", "y", notes=(NOTE,)) if cameras else None
-
-
-def _camera(camera: XmlCamera) -> tuple[str, TomlTable]:
-    size = camera.numbers("Attributes", "ImagerPixelWidth", "ImagerPixelHeight")
-    focal = camera.numbers(MODEL, "HorizontalFocalLength", "VerticalFocalLength")
-    centre = camera.numbers(MODEL, "LensCenterX", "LensCenterY")
-    distortions = camera.numbers(MODEL, "k1", "k2", "TangentialX", "TangentialY", "k3")
-    orientation = camera.rotation("Extrinsic", *(f"OrientMatrix{i}" for i in range(9)))
-    position = camera.numbers("Extrinsic", *"XYZ")
-    matrix = pinhole(focal, centre)
-    return camera.section(size, matrix, distortions, R_CAM_OPENGL @ orientation.T, position)

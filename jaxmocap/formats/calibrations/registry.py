@@ -94,9 +94,8 @@ def convert_calibration(
     )
     if calibration is None:
         names = ", ".join(SYSTEMS)
-        raise InputError(
-            source, f"found no calibration that is recognised, expected one of {names}"
-        )
+        problem = f"found no calibration that is recognised, expected one of {names}"
+        raise InputError(source, problem)
     _check_names(source, [name for name, _ in calibration.cameras])
     _check_options(source, calibration, unit, size)
     its_unit, axis = unit or calibration.unit, up or calibration.up

@@ -10,7 +10,7 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 from jaxmocap.formats.calibrations.plain_pickle import FIRST_BYTE, read_plain_pickle
-from jaxmocap.formats.calibrations.xml_cameras import is_xml, parse_xml
+from jaxmocap.formats.calibrations.xml_cameras import parse_xml
 from jaxmocap.formats.cameras.opencv_yaml import read_entries
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import read_bytes
@@ -78,7 +78,8 @@ def open_source(path: Path) -> Source:
     content = read_bytes(path, MAX_SOURCE_BYTES)
     if not content.strip():
         raise InputError(path, "the file is empty")
-    if is_xml(content):
+    # In UTF-8 or UTF-16.
+    if content[:256].lstrip(b"\xef\xbb\xbf\xfe\xff\0 \t\r\n").startswith(b"<"):
         return Source(path, xml=parse_xml(path, content))
     if content[:1] == FIRST_BYTE:
         return Source(path, pickled=read_plain_pickle(path, content))

@@ -25,11 +25,6 @@ MAX_ATTRIBUTES = 1_000_000
 R_CAM_OPENGL = np.diag([1.0, -1.0, -1.0])
 
 
-def is_xml(content: bytes) -> bool:
-    """Does a file begin as XML does, in UTF-8 or UTF-16?"""
-    return content[:256].lstrip(b"\xef\xbb\xbf\xfe\xff\0 \t\r\n").startswith(b"<")
-
-
 def parse_xml(path: Path, content: bytes) -> Element:
     """An element that holds the root element.
 

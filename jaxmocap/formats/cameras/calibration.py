@@ -195,15 +195,6 @@ def read_lens(fields: TomlTable) -> Intrinsics:
     return lens
 
 
-def check_one_kind(top: TomlTable, cameras: Mapping[str, Camera]) -> None:
-    """InputError where some of a recording's cameras are fisheyes and others are not."""
-    fisheyes = [name for name, camera in cameras.items() if camera.lens == FISHEYE]
-    others = [name for name in cameras if name not in fisheyes]
-    if fisheyes and others:
-        problem = f"found fisheye lenses ({comma_list(fisheyes)}) beside ordinary ones"
-        raise top.error("[[video]]", f"{problem} ({comma_list(others)}), expected one kind")
-
-
 def is_rotation(matrix: np.ndarray) -> bool:
     """Is a (3, 3) matrix a rotation, as far as files print it?"""
     return is_orthonormal(matrix) and bool(np.linalg.det(matrix) > 0)

@@ -11,14 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.formats.cameras.calibration import camera_of, check_one_kind, read_sections
-from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.cameras.calibration import camera_of, read_sections
+from jaxmocap.formats.files.short_repr import comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable, same_file_name
 from jaxmocap.formats.recordings.keypoint_files import LARGEST_FRAME_NUMBER
 from jaxmocap.formats.recordings.keypoint_models import MODELS
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.time_series.tables import LATEST_S
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.lenses import FISHEYE
 
 # Cameras of one recording.
 MAX_VIDEOS = 100
@@ -91,9 +92,8 @@ def _keypoints(fields: TomlTable) -> dict[str, Any]:
         stated["keypoints_model"] = model = fields.text("keypoints_model")
         if model not in MODELS:
             expected = ", ".join(MODELS)
-            raise fields.error(
-                "keypoints_model", f"found {short_repr(model)}, expected one of {expected}"
-            )
+            problem = f"found {short_repr(model)}, expected one of {expected}"
+            raise fields.error("keypoints_model", problem)
     if "keypoints_first" in fields:
         limit = LARGEST_FRAME_NUMBER
         stated["keypoints_first"] = fields.integer("keypoints_first", -limit, limit)
@@ -136,5 +136,9 @@ def read_video_tables(
             raise fields.error("camera", f"{problem}, expected another camera")
         earlier[same] = name
         videos.append((fields, name, camera_of(file, sections, name, origin_world)))
-    check_one_kind(top, {name: camera for _, name, camera in videos})
+    fisheyes = [name for _, name, camera in videos if camera.lens == FISHEYE]
+    others = [name for _, name, camera in videos if camera.lens != FISHEYE]
+    if fisheyes and others:
+        problem = f"found fisheye lenses ({comma_list(fisheyes)}) beside ordinary ones"
+        raise top.error("[[video]]", f"{problem} ({comma_list(others)}), expected one kind")
     return file, videos

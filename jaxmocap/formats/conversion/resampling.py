@@ -124,21 +124,18 @@ def slerp(R: np.ndarray, at: Interpolation) -> np.ndarray:
     """
     R_then = np.empty((len(at.fraction), *R.shape[1:]))
     for block, at_block in at.blocks(R[0].size):
-        R_then[block] = _slerp(R[at_block.before], R[at_block.after], at_block.fraction)
+        ends = R[at_block.before], R[at_block.after]
+        is_finite = np.isfinite(sum(each.sum((-2, -1)) for each in ends))[..., None, None]
+        first, second = (
+            Rotation.from_matrix(np.where(is_finite, each, np.eye(3)).reshape(-1, 3, 3))
+            for each in ends
+        )
+        fractions = np.repeat(at_block.fraction, int(np.prod(R.shape[1:-2], dtype=int)))[:, None]
+        way = Rotation.from_rotvec(fractions * (first.inv() * second).as_rotvec())
+        between = (first * way).as_matrix().reshape(ends[0].shape)
+        R_then[block] = np.where(is_finite, between, np.nan)
     R_then[at.in_gap] = np.nan
     return R_then
-
-
-def _slerp(R_before: np.ndarray, R_after: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-    """Rotations (N, ..., 3, 3) at (N,) fractions of the way from one to another."""
-    is_finite = np.isfinite(R_before.sum((-2, -1)) + R_after.sum((-2, -1)))[..., None, None]
-    first, second = (
-        Rotation.from_matrix(np.where(is_finite, each, np.eye(3)).reshape(-1, 3, 3))
-        for each in (R_before, R_after)
-    )
-    fractions = np.repeat(fraction, int(np.prod(R_before.shape[1:-2], dtype=int)))[:, None]
-    R = first * Rotation.from_rotvec(fractions * (first.inv() * second).as_rotvec())
-    return np.where(is_finite, R.as_matrix().reshape(R_before.shape), np.nan)
 
 
 def resampled_armature(armature: Armature, times: np.ndarray) -> Armature:

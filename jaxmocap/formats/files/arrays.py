@@ -163,9 +163,8 @@ class NpzArrays:
             raise self._error(name, f"found Python objects, expected {stated.kind}")
         wide = dtype.itemsize > _MAX_ITEM_BYTES.get(stated.kind, dtype.itemsize)
         if dtype.kind not in _KINDS[stated.kind] or not dtype.itemsize or wide:
-            raise self._error(
-                name, f"found values of type {short_repr(dtype.str)}, expected {stated.kind}"
-            )
+            problem = f"found values of type {short_repr(dtype.str)}, expected {stated.kind}"
+            raise self._error(name, problem)
         longest = dtype.itemsize // 4
         if dtype.kind == "U" and longest > stated.max_characters:
             expected = f"expected at most {stated.max_characters}"
@@ -258,9 +257,8 @@ class NpzArrays:
         if stated.kind == NAMES:
             for text in array.ravel().tolist():
                 if not text or not text.isprintable():
-                    raise self._error(
-                        name, f"found {short_repr(text)}, expected a name that prints"
-                    )
+                    problem = f"found {short_repr(text)}, expected a name that prints"
+                    raise self._error(name, problem)
 
 
 def _opened(path: str | Path) -> zipfile.ZipFile:

@@ -14,8 +14,6 @@ from jaxmocap.formats.files.reading import open_regular
 
 # Half an hour of 60 markers at 200 Hz takes 0.6 GB.
 MAX_TABLE_BYTES = 2**30
-# Of files that are read whole.
-MAX_SMALL_FILE_BYTES = 2**20
 # 7 hours at 200 Hz.
 MAX_LINES = 5_000_000
 # Characters: 10,000 numbers, far more than any row has.
@@ -85,9 +83,9 @@ def _blocks(path: str | Path, most: int) -> Iterator[list[str]]:
     yield [rest]
 
 
-def read_lines(path: str | Path, max_bytes: int = MAX_SMALL_FILE_BYTES) -> list[str]:
-    """All lines of a small file; none that is empty stands at the end."""
-    lines = [line for _, line in numbered_lines(path, max_bytes)]
+def read_lines(path: str | Path) -> list[str]:
+    """All lines of a file of a megabyte at most; none that is empty stands at the end."""
+    lines = [line for _, line in numbered_lines(path, 2**20)]
     while not lines[-1]:
         lines.pop()
     return lines

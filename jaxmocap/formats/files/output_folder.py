@@ -81,7 +81,12 @@ class OutputFolder:
         self._written: dict[str, ListedFile] = {}
         check_file_name(self.path)
         check_folder_writable(self.path)
-        refuse_inputs(self.path, inputs)
+        # Not ``resolve``: a loop of links is no error here.
+        real = Path(os.path.realpath(self.path))
+        for each in inputs:
+            if Path(os.path.realpath(each)).is_relative_to(real):
+                problem = f"holds {each}, which is read; expected a folder of its own for outputs"
+                raise InputError(self.path, problem)
         self._check_free(self._names)
 
     @contextmanager
@@ -167,7 +172,12 @@ class OutputFolder:
             if entry.kind == self.kind or name in self._names
         }
         others = {name: entry for name, entry in listed.items() if name not in ours}
-        _write_list(self.path, _merged_lists(listed, wrote))
+        # Each file as either of the lists has it.
+        both = dict(listed)
+        for name, entry in wrote.items():
+            before = listed[name].digests if name in listed else ()
+            both[name] = ListedFile(entry.kind, (*before, *entry.digests))
+        _write_list(self.path, both)
         for name, path in new.items():
             (self.path / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(path, self.path / name)
@@ -188,17 +198,6 @@ def _errors_named_as_in(folder: Path, stage: Path) -> Iterator[None]:
         if not path.is_relative_to(hidden):
             raise
         raise type(error)(folder / path.relative_to(hidden), error.problem) from None
-
-
-def refuse_inputs(folder: Path, inputs: Iterable[str | Path]) -> None:
-    """InputError where a folder for outputs holds, anywhere, one of the files that are read."""
-    # Not ``resolve``: a loop of links is no error here.
-    real = Path(os.path.realpath(folder))
-    for each in inputs:
-        if Path(os.path.realpath(each)).is_relative_to(real):
-            raise InputError(
-                folder, f"holds {each}, which is read; expected a folder of its own for outputs"
-            )
 
 
 def refuse_outputs(path: str | Path) -> None:
@@ -245,17 +244,6 @@ def _write_list(folder: Path, entries: Mapping[str, ListedFile]) -> None:
     }
     content = {"written by": f"jaxmocap {__version__}", "files": files}
     write_text(folder / LIST_NAME, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
-
-
-def _merged_lists(
-    earlier: Mapping[str, ListedFile], new: Mapping[str, ListedFile]
-) -> dict[str, ListedFile]:
-    """Both lists, each file as either of them has it."""
-    both = dict(earlier)
-    for name, entry in new.items():
-        before = earlier[name].digests if name in earlier else ()
-        both[name] = ListedFile(entry.kind, (*before, *entry.digests))
-    return both
 
 
 def _checked_name(name: str) -> str:

@@ -153,9 +153,8 @@ def _skipped(fields: TomlTable, markers: Sequence[str]) -> list[str]:
         raise fields.error("skip", f"found {short_repr(skipped)}, expected a list of markers")
     for each in skipped:
         if each not in markers:
-            raise fields.error(
-                "skip", f"found {short_repr(each)}, expected some of {comma_list(markers)}"
-            )
+            problem = f"found {short_repr(each)}, expected some of {comma_list(markers)}"
+            raise fields.error("skip", problem)
     return skipped
 
 

@@ -158,9 +158,8 @@ def _instances(file: Path, where: str, instances: Any) -> list[np.ndarray]:
             points = np.column_stack([points, scores])
         if points.shape[1:] != (3,):
             expected = "[x, y] of each with 'keypoint_scores', or [x, y, score]"
-            raise InputError(
-                file, f"{at}.keypoints: found shape {points.shape}, expected {expected}"
-            )
+            problem = f"{at}.keypoints: found shape {points.shape}, expected {expected}"
+            raise InputError(file, problem)
         arrays.append(_with_missing_as_nan(points))
     return arrays
 

@@ -243,9 +243,8 @@ def _read_placed_markers(
         orientations=orientations,
     )
     if markers.orientations is not None and np.linalg.det(R_world_file) < 0:
-        raise fields.error(
-            "to_world", "found a reflection, which leaves no orientation of a marker"
-        )
+        problem = "found a reflection, which leaves no orientation of a marker"
+        raise fields.error("to_world", problem)
     orientations = None if markers.orientations is None else R_world_file @ markers.orientations
     positions_world = to_world(R_world_file, markers.positions)
     markers = replace(markers, positions=positions_world, orientations=orientations)

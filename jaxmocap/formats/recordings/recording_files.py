@@ -11,7 +11,7 @@ all the same, so that whoever opens it can say so.
 
 import os
 import stat
-from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,32 +32,21 @@ def input_files(path: str | Path) -> list[Path]:
     content = read_toml(path)
     folder, subject = path.parent, _table(content.get("subject"))
     files = {path}
-    for text in _named_files(content):
+    named = [_table(content.get("markers")).get("file")]
+    named += [_table(content.get("calibration")).get("file"), subject.get("static")]
+    if isinstance(videos := content.get("video"), list):
+        named += [_table(video).get(key) for video in videos for key in _VIDEO_FILE_KEYS]
+    for text in named:
         files |= _files(folder, text)
     for own in _files(folder, subject.get("file")):
-        files |= {own} | _files(own.parent, _content(own).get("static"))
+        files.add(own)
+        with suppress(InputError):
+            files |= _files(own.parent, read_toml(own).get("static"))
     return sorted(files)
-
-
-def _named_files(content: dict[str, Any]) -> Iterator[Any]:
-    """What the fields for files say, but for the subject's own file."""
-    yield _table(content.get("markers")).get("file")
-    yield _table(content.get("calibration")).get("file")
-    yield _table(content.get("subject")).get("static")
-    videos = content.get("video")
-    for video in videos if isinstance(videos, list) else []:
-        yield from (_table(video).get(key) for key in _VIDEO_FILE_KEYS)
 
 
 def _table(value: Any) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
-
-
-def _content(path: Path) -> dict[str, Any]:
-    try:
-        return read_toml(path)
-    except InputError:
-        return {}
 
 
 def _files(folder: Path, text: Any) -> set[Path]:

@@ -25,18 +25,6 @@ MAX_ORIENTATIONS = 5_000_000
 MIN_WIDTH_M = 0.005
 
 
-def read_rigid_sets(fields: TomlTable) -> dict[str, list[str]]:
-    """Name -> markers of each set of [markers.rigid]."""
-    sets = {}
-    for name, members in fields.entries.items():
-        texts = isinstance(members, list) and all(isinstance(each, str) for each in members)
-        if not texts or len(set(members)) < MIN_MARKERS or len(set(members)) < len(members):
-            expected = "a list of three or more different markers"
-            raise fields.error(name, f"found {short_repr(members)}, expected {expected}")
-        sets[name] = members
-    return sets
-
-
 def with_rigid_sets(fields: TomlTable, markers: Markers, names: Collection[str]) -> Markers:
     """Those markers that are wanted and, behind them, the sets of [markers.rigid].
 
@@ -46,7 +34,12 @@ def with_rigid_sets(fields: TomlTable, markers: Markers, names: Collection[str])
         InputError: a set's marker that is not in the file, a set called as a marker is, or one
             that is never complete or lies on a line; or more orientations than memory holds.
     """
-    sets = read_rigid_sets(fields)
+    sets: dict[str, list[str]] = fields.entries
+    for name, members in sets.items():
+        texts = isinstance(members, list) and all(isinstance(each, str) for each in members)
+        if not texts or len(set(members)) < MIN_MARKERS or len(set(members)) < len(members):
+            expected = "a list of three or more different markers"
+            raise fields.error(name, f"found {short_repr(members)}, expected {expected}")
     if not sets:
         return markers
     by_name, samples = markers.points(), len(markers.times)
@@ -63,9 +56,8 @@ def with_rigid_sets(fields: TomlTable, markers: Markers, names: Collection[str])
         missing = [member for member in members if member not in by_name]
         if missing or name in by_name:
             problem = f"no marker {short_repr(missing[0])}" if missing else "a marker of that name"
-            raise fields.error(
-                name, f"found {problem} in the file, which has {comma_list(by_name)}"
-            )
+            problem = f"found {problem} in the file, which has {comma_list(by_name)}"
+            raise fields.error(name, problem)
         points = np.stack([by_name[m] for m in members], 1)
         centre, orientations[:, i] = _fitted_poses(fields, name, points, members)
         centres.append(centre)
@@ -90,9 +82,8 @@ def _fitted_poses(
     if unseen:
         raise fields.error(name, f"found {short_repr(unseen[0])} never beside the first three")
     if np.linalg.svd(shape - shape.mean(0), compute_uv=False)[1] < MIN_WIDTH_M:
-        raise fields.error(
-            name, "found all markers on one line, which determines no rotation about it"
-        )
+        problem = "found all markers on one line, which determines no rotation about it"
+        raise fields.error(name, problem)
     is_measured = np.isfinite(points.sum(-1))
     enough = is_measured.sum(1) >= MIN_MARKERS
     weights = is_measured[..., None] / np.maximum(is_measured.sum(1), 1)[:, None, None]

@@ -76,7 +76,15 @@ def read_subject(path: Path, where: str, table: Any, wrists: bool = False) -> Sk
     usual = fields.flag("wrists", wrists)
     rest = {key: value for key, value in fields.entries.items() if key != "wrists"}
     if "file" in rest:
-        skeleton = _by_file(TomlTable(path, where, rest), usual)
+        if also := [key for key in ("height", "static") if key in fields]:
+            stated = " and ".join(["file", *also])
+            raise fields.error("", f"found {stated}, expected one of file, height, static")
+        other = TomlTable(path, where, rest, ("file",)).file("file")
+        content = read_toml(other)
+        if "file" in content:
+            problem = f"{other} names yet another file, expected height or static"
+            raise fields.error("file", problem)
+        skeleton = read_subject(other, "", content, usual)
         return with_wrists(skeleton) if fields.flag("wrists") else skeleton
     chosen = [key for key in ("height", "static") if key in rest]
     if len(chosen) != 1:
@@ -100,18 +108,6 @@ def person_table(path: Path) -> TomlTable:
         return fields
     other = fields.file("file")
     return TomlTable(other, "", read_toml(other))
-
-
-def _by_file(fields: TomlTable, wrists: bool) -> Skeleton:
-    """The skeleton of the file that a table names."""
-    if also := [key for key in ("height", "static") if key in fields]:
-        stated = " and ".join(["file", *also])
-        raise fields.error("", f"found {stated}, expected one of file, height, static")
-    other = TomlTable(fields.path, fields.where, fields.entries, ("file",)).file("file")
-    content = read_toml(other)
-    if "file" in content:
-        raise fields.error("file", f"{other} names yet another file, expected height or static")
-    return read_subject(other, "", content, wrists)
 
 
 def _by_height(fields: TomlTable) -> Skeleton:

@@ -188,9 +188,8 @@ def check_names(path: str | Path, names: Sequence[str], place: str, kind: str = 
     for name in names:
         if len(name) > MAX_NAME_CHARACTERS or any(unicodedata.category(c) == "Cc" for c in name):
             expected = f"at most {MAX_NAME_CHARACTERS} characters, none of them for control"
-            raise InputError(
-                path, f"{place}: found {short_repr(name)} as a name, expected {expected}"
-            )
+            problem = f"{place}: found {short_repr(name)} as a name, expected {expected}"
+            raise InputError(path, problem)
         if name in earlier:
             raise InputError(path, f"{place}: {kind} {short_repr(name)} is named twice")
         earlier.add(name)

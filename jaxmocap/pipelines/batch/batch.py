@@ -7,6 +7,7 @@ INPUTS: a folder of recordings. OUTPUTS: a folder per recording as ``track`` wri
 all of them, and why those that failed did.
 """
 
+import json
 import os
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import LIST_NAME, OutputFolder
+from jaxmocap.formats.files.writing import write_text
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.report import plain
@@ -30,7 +32,6 @@ from jaxmocap.pipelines.batch.corpus import (
     fingerprint,
     read_record,
     readable_inputs,
-    write_failures,
     write_record,
     write_rows,
 )
@@ -171,7 +172,8 @@ def track_corpus(
             # Before the cluster is closed, which may take its time.
             with folder.writing() as stage:
                 write_rows(stage / TABLES[0], rows)
-                write_failures(stage / TABLES[1], failures)
+                text = json.dumps(dict(sorted(failures.items())), indent=2, ensure_ascii=False)
+                write_text(stage / TABLES[1], text + "\n")
     return Batch(rows, earlier_count, failures, [folder.path / name for name in TABLES])
 
 
@@ -220,26 +222,21 @@ def track_one(job: Job) -> Outcome:
         mark = fingerprint(job.recording, plain(job.options))
         if earlier := read_record(job.folder, mark):
             return Outcome(replace(earlier, recording=job.name), from_earlier_run=True)
-        return Outcome(_tracked(job, mark))
+        began = perf_counter()
+        keep_compiled()
+        recording = load_recording(job.recording)
+        folder = tracked_folder(job.folder, recording, [RECORD_FILE])
+        settings = job.options.settings
+        motion = track(recording, settings, mode=job.options.mode, progress=False)
+        with folder.writing() as stage:
+            write_tracked(motion, recording, stage, settings, progress=False)
+            row = row_of(job, motion, perf_counter() - began)
+            write_record(stage, mark, row)
+        return Outcome(row)
     except (InputError, OSError) as error:
         return Outcome(None, problem=str(error))
     except Exception as error:  # whatever it is, the others are to go on
         return Outcome(None, problem=f"{type(error).__name__}: {error}")
-
-
-def _tracked(job: Job, mark: str) -> CorpusRow:
-    """Track and write everything."""
-    began = perf_counter()
-    keep_compiled()
-    recording = load_recording(job.recording)
-    folder = tracked_folder(job.folder, recording, [RECORD_FILE])
-    settings = job.options.settings
-    motion = track(recording, settings, mode=job.options.mode, progress=False)
-    with folder.writing() as stage:
-        write_tracked(motion, recording, stage, settings, progress=False)
-        row = row_of(job, motion, perf_counter() - began)
-        write_record(stage, mark, row)
-    return row
 
 
 def row_of(job: Job, motion: Motion, took_s: float) -> CorpusRow:

@@ -122,9 +122,3 @@ def write_rows(path: Path, rows: Sequence[CorpusRow]) -> None:
         table = csv.DictWriter(file, [field.name for field in fields(CorpusRow)])
         table.writeheader()
         table.writerows(asdict(row) for row in sorted(rows, key=lambda row: row.recording))
-
-
-def write_failures(path: Path, failures: Mapping[str, str]) -> None:
-    """Write failures.json: recording -> why it could not be tracked; empty where all could."""
-    text = json.dumps(dict(sorted(failures.items())), indent=2, ensure_ascii=False)
-    write_text(path, text + "\n")

@@ -177,9 +177,8 @@ class _Listening:
             problem = _movement(self._setup, *samples)
             if not problem:
                 return samples
-        raise OutputError(
-            self._setup.path, f"not calibrated: {problem} within {STILL_S:.0f} s; stand still"
-        )
+        problem = f"not calibrated: {problem} within {STILL_S:.0f} s; stand still"
+        raise OutputError(self._setup.path, problem)
 
     def _recent(self) -> list[MarkerSample]:
         newest = [each for each in list(self._samples) if each.measurements is not None]

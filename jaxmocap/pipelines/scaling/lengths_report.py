@@ -103,7 +103,8 @@ class LengthsReport:
         for row, proportion in enumerate(LENGTHS):
             named = stated.tree.names_in
             bones = named(*proportion.bones, side="l") or named(*proportion.bones)
-            before, after = (_sum(body, bones) for body in (stated, person))
+            rows = [stated.tree.bone(bone) for bone in bones]
+            before, after = (float(sum(body.lengths[i] for i in rows)) for body in (stated, person))
             deviations = float(fit.before[row]), float(fit.after[row])
             lengths.append(LengthEstimate(proportion.name, bones, after, before, *deviations))
         count = len(LENGTHS)
@@ -161,7 +162,3 @@ class LengthsReport:
             "correlation": self.correlation.tolist(),
             "girth_factors": self.girths,
         }
-
-
-def _sum(skeleton: Skeleton, bones: tuple[str, ...]) -> float:
-    return float(sum(skeleton.lengths[skeleton.tree.bone(bone)] for bone in bones))

@@ -114,16 +114,6 @@ def make_silhouette_tracker(
     return SilhouetteTracker(skeleton, cameras, settings, surface, sites)
 
 
-def pictured_backgrounds(recording: Recording) -> list[Background | None]:
-    """Background models by the recording's pictures of empty rooms; None where there is none."""
-    return [
-        background_of_picture(read_empty_room(source.background, open_video(source).size))
-        if source.background
-        else None
-        for source in recording.videos
-    ]
-
-
 def track_silhouettes(
     recording: Recording,
     start: Pose,
@@ -160,11 +150,18 @@ def track_silhouettes(
     tracker = make_silhouette_tracker(recording, settings, markers, surface)
     footage, warnings = _open(recording, tracker.body.model if markers else None)
     how = PassSettings(passes, 1.0 if surface is None else PHOTOGRAPHED_SHARE, lengths)
+    # By the recording's pictures of empty rooms.
+    backgrounds: list[Background | None] = [
+        background_of_picture(read_empty_room(source.background, video.size))
+        if source.background
+        else None
+        for source, video in zip(recording.videos, footage.videos, strict=True)
+    ]
     began, label = perf_counter(), f"tracking, {passes} pass{'es' * (passes > 1)}"
     with progress_bar(label, progress, "compiling") as show:
         result = run_passes(
             tracker, start, footage.bundles, len(footage.times), how,
-            pictured_backgrounds(recording), show,
+            backgrounds, show,
         )  # fmt: skip
     if not result.is_anybody_visible:
         where = recording.path or recording.name
@@ -187,7 +184,13 @@ def track_silhouettes(
     described |= {"video_frames": len(footage.times), "seconds": spent}
     report = _report(result, constants, names, plain(described))
     motion = Motion(shape.skeleton, footage.times, poses, report, recording.origin_world)
-    return SilhouetteResult(motion, _masks(result, names), shape.surface)
+    regions = [report.outlines.region for report in result.reports]
+    origins, scales = (np.stack([region[k] for region in regions]) for k in (0, 1))
+    phi, times = np.stack(result.level_sets), np.array(result.times)
+    masks = {
+        name: Masks(times, phi[:, c], origins[:, c], scales[:, c]) for c, name in enumerate(names)
+    }
+    return SilhouetteResult(motion, masks, shape.surface)
 
 
 def _open(recording: Recording, followed: Model | None) -> tuple[_Footage, tuple[str, ...]]:
@@ -206,16 +209,6 @@ def _open(recording: Recording, followed: Model | None) -> tuple[_Footage, tuple
         moved = moved_bones(followed.skeleton.tree)[followed.markers.bone_indices]
         positions = np.where(moved[:, None], positions, np.nan)
     return _Footage(videos, times, indices, positions), tuple(warnings)
-
-
-def _masks(result: PassResult, names: Sequence[str]) -> dict[str, Masks]:
-    """Camera -> level sets."""
-    regions = [report.outlines.region for report in result.reports]
-    origins, scales = (np.stack([region[k] for region in regions]) for k in (0, 1))
-    phi, times = np.stack(result.level_sets), np.array(result.times)
-    return {
-        name: Masks(times, phi[:, c], origins[:, c], scales[:, c]) for c, name in enumerate(names)
-    }
 
 
 def _report(

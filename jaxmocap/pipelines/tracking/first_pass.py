@@ -6,7 +6,7 @@ behind gives out what is some frames old.
 INPUTS: RecordingEvents, a tracker, readers of its videos. OUTPUTS: FirstPass; smoothed poses.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from time import perf_counter
 
 import jax
@@ -15,20 +15,18 @@ import numpy as np
 from jaxmocap.capture.footage import ForwardReader
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.pipelines.progress import Progress
 from jaxmocap.pipelines.tracking import warnings
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
 from jaxmocap.smoothing.problem import FirstPass
-
-# Called with the events done and their total.
-Show = Callable[[int, int], None]
 
 
 def scanned(
     events: RecordingEvents,
     tracker: HybridTracker,
     readers: Sequence[ForwardReader],
-    show: Show,
+    show: Progress,
     clock: Clock,
 ) -> FirstPass:
     """Scan through the events, chunk by chunk."""
@@ -58,7 +56,7 @@ def stepped(
     tracker: HybridTracker,
     readers: Sequence[ForwardReader],
     smoother: FixedLagSmoother | None,
-    show: Show,
+    show: Progress,
     clock: Clock,
 ) -> tuple[FirstPass, list[SmoothedPose]]:
     """Step through the events, one by one."""

@@ -6,7 +6,6 @@ INPUTS: a HybridTracker, RecordingEvents. OUTPUTS: the tracker with the fitted m
 and its trajectory with deviations.
 """
 
-from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 from functools import partial
@@ -31,6 +30,7 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.step import PLACE
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.pipelines.progress import Progress
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
 
@@ -38,8 +38,6 @@ from jaxmocap.smoothing.problem import FirstPass, Trajectory
 SAMPLES = 64
 # A sample has this share of the markers at least that the fullest one has.
 FULL_SHARE = 0.9
-# Called with the events done and their total.
-Show = Callable[[int, int], None]
 
 
 class MarkedPass(NamedTuple):
@@ -74,7 +72,7 @@ def is_marked(tracker: HybridTracker) -> bool:
 
 
 def followed(
-    events: RecordingEvents, tracker: HybridTracker, show: Show, causal: bool = False
+    events: RecordingEvents, tracker: HybridTracker, show: Progress, causal: bool = False
 ) -> MarkedPass:
     """Fit lengths and places where the recording wants it, and follow the markers.
 
@@ -85,7 +83,12 @@ def followed(
         causal: nothing is fitted by later samples, and each event goes on from the one before.
     """
     markers = np.asarray(events.markers_world, tracker.model.dtype)
-    chosen = np.zeros(1, int) if causal else _spread(markers)
+    chosen = np.zeros(1, int)
+    if not causal:
+        # Spread over the events that have nearly all markers.
+        present = np.isfinite(markers).all(-1).sum(1)
+        full = np.flatnonzero(present >= FULL_SHARE * present.max())
+        chosen = full[np.linspace(0, len(full) - 1, SAMPLES).astype(int)]
     model, sentence = tracker.model, ""
     fit = _far(tracker, markers[chosen])
     # Whoever states that lengths and places are not to be fitted knows them.
@@ -114,13 +117,6 @@ def followed(
     return MarkedPass(other, first, trajectory, sentence)
 
 
-def _spread(markers: np.ndarray) -> np.ndarray:
-    """Events (K,), ascending, spread over those of (E, M, 3) that have nearly all markers."""
-    present = np.isfinite(markers).all(-1).sum(1)
-    full = np.flatnonzero(present >= FULL_SHARE * present.max())
-    return full[np.linspace(0, len(full) - 1, SAMPLES).astype(int)]
-
-
 def _far(tracker: HybridTracker, markers: np.ndarray) -> PosesFit:
     """Poses (K, ...) of markers (K, M, 3), from the relaxed one placed by them."""
     model = tracker.model
@@ -134,7 +130,9 @@ def _tails(model: Model, tails: float) -> np.ndarray:
     return np.asarray(tails, model.dtype)
 
 
-def _along(model: Model, markers: np.ndarray, chosen: np.ndarray, poses: Pose, show: Show) -> Pose:
+def _along(
+    model: Model, markers: np.ndarray, chosen: np.ndarray, poses: Pose, show: Progress
+) -> Pose:
     """Poses (E, ...), from each chosen event on."""
     count, ends = len(markers), [*chosen[1:], len(markers)]
     lanes = [np.arange(first, max(end, first + 1)) for first, end in zip(chosen, ends, strict=True)]

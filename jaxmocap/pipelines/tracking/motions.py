@@ -96,10 +96,19 @@ def motions(
         settings: for the report.
     """
     person = trajectory.person(model.skeleton) if len(trajectory.proportions) else model.skeleton
+    # Distances (E, M) of markers from the body, metres; turns (E, 2) of elbows by the video.
+    each = trajectory.poses, first_pass.reports.marker_pose, first_pass.markers_world
+    each = jax.tree.map(lambda part: np.asarray(part, model.dtype), each)
+    errors, turns = in_batches(partial(_compared, model, person), each, EVENTS_A_CALL)
+    assert trajectory.deviations is not None and trajectory.from_prior is not None
     columns = {
-        name: _at_samples(events, values)
-        for name, values in _columns(model, person, first_pass, trajectory).items()
+        "marker_errors": errors,
+        "arm_costs": first_pass.reports.outline_px,
+        "swivels": turns,
+        "landmarks_std": trajectory.deviations,
+        "from_prior": trajectory.from_prior,
     }
+    columns = {name: _at_samples(events, values) for name, values in columns.items()}
     report = Report(
         markers=events.recording.marker_names,
         **columns,
@@ -125,24 +134,6 @@ def _motion(
     """All samples of poses (E, ...) of the events."""
     recording, poses = events.recording, jax.tree.map(partial(_at_samples, events), poses)
     return Motion(skeleton, recording.times, poses, report, recording.origin_world)
-
-
-def _columns(
-    model: Model, person: Skeleton, first_pass: FirstPass, trajectory: Trajectory
-) -> dict[str, np.ndarray | Array]:
-    """Of the report, field -> (E, ...) of the events."""
-    assert trajectory.deviations is not None and trajectory.from_prior is not None
-    # Distances (E, M) of markers from the body, metres; turns (E, 2) of elbows by the video.
-    each = trajectory.poses, first_pass.reports.marker_pose, first_pass.markers_world
-    each = jax.tree.map(lambda part: np.asarray(part, model.dtype), each)
-    errors, turns = in_batches(partial(_compared, model, person), each, EVENTS_A_CALL)
-    return {
-        "marker_errors": errors,
-        "arm_costs": first_pass.reports.outline_px,
-        "swivels": turns,
-        "landmarks_std": trajectory.deviations,
-        "from_prior": trajectory.from_prior,
-    }
 
 
 def _warnings(
