@@ -45,9 +45,8 @@ from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned
-from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events
 from jaxmocap.pipelines.tracking.motions import Tracked, motions, unsmoothed
-from jaxmocap.pipelines.tracking.track import make_tracker, track
+from jaxmocap.pipelines.tracking.track import lines_at_events, make_tracker, track
 from jaxmocap.smoothing.batch import smooth_recording
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
 

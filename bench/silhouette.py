@@ -32,7 +32,7 @@ from jaxmocap.body.skeleton import LANDMARKS, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.parts import determined_landmarks
 from jaxmocap.body.surfaces.surface import Surface
-from jaxmocap.cli.silhouette.settings_options import add_settings, settings_of
+from jaxmocap.cli.silhouette.track import add_settings, settings_of
 from jaxmocap.evaluation.errors import Errors, position_errors
 from jaxmocap.evaluation.series import match
 from jaxmocap.formats.recordings.recording import Recording, VideoSource

@@ -1,6 +1,7 @@
 """The videos of a recording, opened, checked and read forward, the next frame decoded ahead.
 
-INPUTS: a Recording. OUTPUTS: frame sources and warnings; images by their index.
+INPUTS: a Recording. OUTPUTS: frame sources and warnings; images by their index; the same with
+smaller frames, kept where they are gone through again and again.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,9 +12,10 @@ import numpy as np
 
 from jaxmocap.capture.checks.cameras import check_recording
 from jaxmocap.capture.timeline import check_overlap
-from jaxmocap.capture.video import FrameSource, check_video_size, open_video
+from jaxmocap.capture.video import FrameSource, TimedImage, check_video_size, open_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.images.foreground import shrink, shrunk_size
 
 
 def open_footage(recording: Recording) -> tuple[list[FrameSource], tuple[str, ...]]:
@@ -41,6 +43,10 @@ def open_unchecked(recording: Recording) -> tuple[list[FrameSource], tuple[str, 
         videos.append(video)
         warnings += [warning] if warning else []
     return videos, tuple(warnings)
+
+
+# All videos of a recording together; of longer ones the frames are decoded each time.
+MAX_CACHED_BYTES = 2**29
 
 
 class ForwardReader:
@@ -71,3 +77,37 @@ def forward_readers(
     """Readers of the videos, grey or in colour, each with a thread that decodes one frame ahead."""
     with ThreadPoolExecutor(max(1, len(videos))) as workers:
         yield [ForwardReader(video, workers, colour) for video in videos]
+
+
+class CachedFrames(FrameSource):
+    """A video whose frames have at most so many rows, kept in memory if they fit there.
+
+    Its ``size`` is still that of the full frames.
+    """
+
+    def __init__(self, video: FrameSource, rows: int, most_bytes: int):
+        """Of a video; nothing is decoded yet."""
+        self.name, self.times, self.size = video.name, video.times, video.size
+        self._video, self._rows = video, rows
+        self._cache: list[TimedImage] | None = None
+        width, height = shrunk_size(video.size, rows)
+        self._fits = 3 * width * height * len(video) <= most_bytes
+
+    def frames(self, luma: bool = False) -> Iterator[TimedImage]:
+        """See ``FrameSource.frames``; grey ones are as they were."""
+        if luma:
+            return self._video.frames(luma)
+        if not self._fits:
+            return self._shrunk()
+        if self._cache is None:
+            self._cache = list(self._shrunk())
+        return iter(self._cache)
+
+    def _shrunk(self) -> Iterator[TimedImage]:
+        for time, image in self._video.frames():
+            yield time, None if image is None else shrink(np.atleast_3d(image), self._rows)
+
+
+def cached_frames(videos: Sequence[FrameSource], rows: int) -> list[FrameSource]:
+    """All videos of a recording, kept together as far as memory allows."""
+    return [CachedFrames(video, rows, MAX_CACHED_BYTES // len(videos)) for video in videos]

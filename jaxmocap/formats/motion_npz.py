@@ -7,7 +7,7 @@ OUTPUTS: a .npz file whose arrays are named ``times``, ``pose.position``, ``skel
 
 import json
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -83,20 +83,14 @@ _POSE_SPECS = {
     ),
     "pose.angles": ArraySpec(("T", "D"), low=-_LARGEST_RAD, high=_LARGEST_RAD, allow_nan=True),
 }
+# What the report has of each sample, where there is any.
+_reported = partial(ArraySpec, low=-1e9, high=1e9, allow_nan=True, allow_infinity=True)
 _REPORT_SPECS = {
     "report.markers": ArraySpec(("M",), NAMES),
-    "report.marker_errors": ArraySpec(
-        ("T", "M"), low=-1e9, high=1e9, allow_nan=True, allow_infinity=True
-    ),
-    "report.arm_costs": ArraySpec(
-        ("T", 2), low=-1e9, high=1e9, allow_nan=True, allow_infinity=True
-    ),
-    "report.swivels": ArraySpec(
-        ("T", 2), low=-_LARGEST_RAD, high=_LARGEST_RAD, allow_nan=True, allow_infinity=True
-    ),
-    "report.landmarks_std": ArraySpec(
-        ("T", len(LANDMARKS), 3), low=-1e9, high=1e9, allow_nan=True, allow_infinity=True
-    ),
+    "report.marker_errors": _reported(("T", "M")),
+    "report.arm_costs": _reported(("T", 2)),
+    "report.swivels": _reported(("T", 2), low=-_LARGEST_RAD, high=_LARGEST_RAD),
+    "report.landmarks_std": _reported(("T", len(LANDMARKS), 3)),
     "report.from_prior": ArraySpec(("T", len(LANDMARKS)), low=0, high=1, allow_nan=True),
     "report.statuses": ArraySpec((), TEXT, max_characters=_MAX_STATUS_CHARACTERS),
     "report.settings": ArraySpec((), TEXT, max_characters=_MAX_SETTINGS_CHARACTERS),
@@ -111,8 +105,7 @@ def save_motion(path: str | Path, motion: Motion) -> None:
     arrays |= {f"pose.{name}": part for name, part in motion.poses._asdict().items()}
     arrays["pose.position"] = motion.positions_world
     arrays |= {f"skeleton.{name}": getattr(skeleton, name) for name in _SKELETON_FIELDS}
-    arrays |= {"tree.bones": tree.bones, "tree.parents": tree.parents}
-    arrays |= {"tree.joints": tree.joints, "tree.dof_bones": tree.dof_bones}
+    arrays |= {f"tree.{name}": getattr(tree, name) for name in _TREE_FIELDS}
     if (report := motion.report) is not None:
         arrays |= {f"report.{name}": getattr(report, name) for name in _REPORT_FIELDS}
         arrays |= {f"{_STAGE_PREFIX}{stage}": times for stage, times in report.milliseconds.items()}

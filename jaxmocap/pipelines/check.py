@@ -60,7 +60,7 @@ class RecordingCheck:
                 "missing": list(used.missing),
                 "unused": list(used.unused),
             },
-            "cameras": [view.figures() for view in self.views],
+            "cameras": [asdict(view) for view in self.views],
             "findings": [asdict(finding) for finding in self.findings],
             "warnings": list(self.warnings),
         }
@@ -78,8 +78,8 @@ class RecordingCheck:
             f"{figures['start_s']:.2f} to {figures['end_s']:.2f} s",
             *([f"set      {used.sentence()}"] if (used := self.recording.marker_set) else []),
             *(
-                f"camera   {view.camera}: {view.distance:.2f} m from the markers, of which it "
-                f"shows {100 * view.visible_share:.0f} %, during {100 * view.covered_share:.0f} % "
+                f"camera   {view.camera}: {view.distance_m:.2f} m from the markers, of which it "
+                f"shows {100 * view.shown_share:.0f} %, during {100 * view.covered_share:.0f} % "
                 "of the samples"
                 for view in self.views
             ),

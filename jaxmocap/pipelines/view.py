@@ -109,7 +109,15 @@ def serve_page(path: Path, port: int) -> Viewer:
         raise InputError(f"port {port}", problem)
     viewer = start_viewer([str(path)], web=True, web_port=port, stay=False)
     try:
-        _wait_until_open(viewer, port)
+        # Until the page and its data are served.
+        data_port = urlsplit(viewer.url.partition("+")[2]).port or 0
+        end = monotonic() + VIEWER_START_TIMEOUT_S
+        for each in (port, data_port):
+            while not _answers(each):
+                if not viewer.is_open or monotonic() > end:
+                    problem = "the viewer could not be opened there; another one by"
+                    raise InputError(f"port {port}", f"{problem} --port {free_port()}")
+                sleep(0.05)
     except BaseException:
         viewer.end()
         raise
@@ -125,20 +133,6 @@ def _is_free(port: int) -> bool:
         except OSError:
             return False
     return True
-
-
-def _wait_until_open(viewer: Viewer, port: int) -> None:
-    """Wait until the page and its data are served; InputError where the viewer ends instead."""
-    data_port = urlsplit(viewer.url.partition("+")[2]).port or 0
-    end = monotonic() + VIEWER_START_TIMEOUT_S
-    for each in (port, data_port):
-        while not _answers(each):
-            if not viewer.is_open or monotonic() > end:
-                problem = (
-                    f"the viewer could not be opened there; another one by --port {free_port()}"
-                )
-                raise InputError(f"port {port}", problem)
-            sleep(0.05)
 
 
 def _answers(port: int) -> bool:

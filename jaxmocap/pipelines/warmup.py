@@ -48,30 +48,22 @@ class CompilationCounts:
         mode: its name in the output.
         seconds: in all, tracing and half a second of tracking included.
         programs: that it needs and that were not yet in this process.
-        cached: how many of them an earlier run had compiled.
-        longest: name -> seconds that the compiler took, the longest first.
+        from_cache: how many of them an earlier run had compiled.
+        longest_s: name -> seconds that the compiler took, the longest first.
     """
 
     mode: str
     seconds: float = 0.0
     programs: int = 0
-    cached: int = 0
-    longest: dict[str, float] = field(default_factory=dict)
-
-    def figures(self) -> dict:
-        """The same for JSON."""
-        return {
-            "mode": self.mode,
-            "seconds": self.seconds,
-            "programs": self.programs,
-            "from_cache": self.cached,
-            "longest_s": self.longest,
-        }
+    from_cache: int = 0
+    longest_s: dict[str, float] = field(default_factory=dict)
 
     def text(self) -> str:
         """One line."""
-        names = ", ".join(f"{name} {spent:.1f} s" for name, spent in self.longest.items())
-        counts = f"{self.programs - self.cached} programs compiled, {self.cached} were there"
+        names = ", ".join(f"{name} {spent:.1f} s" for name, spent in self.longest_s.items())
+        counts = (
+            f"{self.programs - self.from_cache} programs compiled, {self.from_cache} were there"
+        )
         return f"{self.mode}: {self.seconds:.1f} s, {counts}; longest: {names or 'none'}"
 
 
@@ -158,7 +150,7 @@ def counting_compilations(counts: CompilationCounts) -> Iterator[None]:
             counts.programs += 1
 
     def on_event(event: str, **kwargs: str | int) -> None:
-        counts.cached += event == CACHE_HIT_EVENT
+        counts.from_cache += event == CACHE_HIT_EVENT
 
     jax.monitoring.register_event_duration_secs_listener(on_duration)
     jax.monitoring.register_event_listener(on_event)
@@ -168,4 +160,4 @@ def counting_compilations(counts: CompilationCounts) -> Iterator[None]:
         jax.monitoring.unregister_event_duration_listener(on_duration)
         jax.monitoring.unregister_event_listener(on_event)
         longest = sorted(spent.items(), key=lambda pair: -pair[1])[:4]
-        counts.longest.update({name.strip("_"): round(time, 3) for name, time in longest})
+        counts.longest_s.update({name.strip("_"): round(time, 3) for name, time in longest})

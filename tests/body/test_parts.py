@@ -8,7 +8,7 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.parts import determined_landmarks, moved_bones, surface_of_body
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
-from jaxmocap.cli.silhouette.settings_options import BODIES
+from jaxmocap.cli.silhouette.track import BODIES
 from jaxmocap.silhouette.first_pose import (
     landmark_points,
     pose_at_landmarks,

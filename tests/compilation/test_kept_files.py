@@ -35,7 +35,7 @@ def compiled(factor: float) -> tuple[list[float], int, int]:
     """What a program that is new to this process returns; programs compiled, and those found."""
     with counting_compilations(warmed := CompilationCounts("")):
         actual = jax.jit(lambda x: x * factor)(NUMBERS)
-    return np.asarray(actual).tolist(), warmed.programs, warmed.cached
+    return np.asarray(actual).tolist(), warmed.programs, warmed.from_cache
 
 
 def tripled() -> Program:

@@ -31,8 +31,8 @@ def test_programs_are_counted_and_those_that_were_there_apart():
     with counting_compilations(outside):
         pass
     fresh()(np.ones(8, np.float32))
-    assert (first.programs, second.programs, second.cached) == (1, 1, 1)
-    assert list(first.longest) == ["<lambda>"] and first.longest["<lambda>"] > 0
+    assert (first.programs, second.programs, second.from_cache) == (1, 1, 1)
+    assert list(first.longest_s) == ["<lambda>"] and first.longest_s["<lambda>"] > 0
     assert outside == CompilationCounts("outside")
     assert "0 programs compiled, 1 were there" in second.text()
 

@@ -40,8 +40,7 @@ from jaxmocap.evidence.terms import residuals
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.geometry.cameras import project
-from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events
-from jaxmocap.pipelines.tracking.track import track
+from jaxmocap.pipelines.tracking.track import lines_at_events, track
 from jaxmocap.smoothing.batch import smooth_recording
 from jaxmocap.smoothing.elbow_viterbi import elbow_goals
 from jaxmocap.smoothing.linearise import SmoothedPoses, smooth_poses

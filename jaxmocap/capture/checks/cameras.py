@@ -6,7 +6,6 @@ OUTPUTS: Findings about calibration and offset; the share of the markers that an
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -47,24 +46,15 @@ class MarkerVisibility:
     Attributes:
         camera: its name.
         covered_share: share of the marker samples that lie within its video's time.
-        visible_share: share of the markers present in these samples that its image shows; NaN
+        shown_share: share of the markers present in these samples that its image shows; NaN
             without any.
-        distance: metres from the camera to the middle of the markers, median.
+        distance_m: metres from the camera to the middle of the markers, median.
     """
 
     camera: str
     covered_share: float
-    visible_share: float
-    distance: float
-
-    def figures(self) -> dict[str, Any]:
-        """The same as plain figures."""
-        return {
-            "camera": self.camera,
-            "covered_share": self.covered_share,
-            "shown_share": self.visible_share,
-            "distance_m": self.distance,
-        }
+    shown_share: float
+    distance_m: float
 
 
 def check_recording(recording: Recording, video_times: Sequence[np.ndarray]) -> list[Finding]:
@@ -80,7 +70,7 @@ def check_recording(recording: Recording, video_times: Sequence[np.ndarray]) -> 
             marker_visibility(recording, source, times)
             for source, times in zip(recording.videos, video_times, strict=True)
         ]
-        nowhere = all(view.visible_share == 0 for view in views)
+        nowhere = all(view.shown_share == 0 for view in views)
         for source, view in zip(recording.videos, views, strict=True):
             findings += _camera_findings(recording, source, view, nowhere)
     return sorted(findings, key=lambda finding: not finding.fatal)
@@ -131,10 +121,10 @@ def _camera_findings(
     recording: Recording, source: VideoSource, view: MarkerVisibility, is_fatal: bool
 ) -> Iterator[Finding]:
     section = f"[{source.camera_name}] of the calibration"
-    if view.distance > MAX_DISTANCE_M:
+    if view.distance_m > MAX_DISTANCE_M:
         yield Finding(
             "unit",
-            f"{section}: the camera is {view.distance:.4g} m away from the markers, expected at "
+            f"{section}: the camera is {view.distance_m:.4g} m away from the markers, expected at "
             f"most {MAX_DISTANCE_M:g} m; translation must be in metres",
             fatal=True,
         )
@@ -147,14 +137,14 @@ def _camera_findings(
             f"markers put at {floor:.2f} m; rotation and translation must take the world (Z up) to "
             "the camera, not the camera to the world",
         )
-    if view.visible_share < MIN_VISIBLE_SHARE:
+    if view.shown_share < MIN_VISIBLE_SHARE:
         axes, share, mirrored = _other_axes(recording, source.camera)
         kind = "a mirror image, left-handed" if mirrored else "turned"
         better = f"; with {axes} in place of x, y, z ({kind}) it would be {100 * share:.0f} %"
         suggestion = better if share > MIN_EXPLAINED_SHARE else ""
         yield Finding(
             "handedness" if mirrored and share > MIN_EXPLAINED_SHARE else "person out of the image",
-            f"{section}: its image shows {100 * view.visible_share:.0f} % of the markers, expected "
+            f"{section}: its image shows {100 * view.shown_share:.0f} % of the markers, expected "
             f"{100 * MIN_VISIBLE_SHARE:.0f} % or more; check rotation and translation, [[video]] "
             f"camera, and [markers] up or to_world{suggestion}",
             fatal=is_fatal,

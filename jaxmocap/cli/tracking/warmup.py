@@ -5,6 +5,7 @@ they took.
 """
 
 import argparse
+from dataclasses import asdict
 
 from jaxmocap.cli.command import Command
 from jaxmocap.cli.recording_options import add_settings, settings_of
@@ -35,7 +36,7 @@ def _run(options: argparse.Namespace) -> None:
         compilations = warmup.warm_up_live(subject, settings)
     folder = cache_folder()
     lines = [*(each.text() for each in compilations), f"kept in {folder}"]
-    figures = {"modes": [each.figures() for each in compilations], "kept_in": str(folder)}
+    figures = {"modes": [asdict(each) for each in compilations], "kept_in": str(folder)}
     report(options, "\n".join(lines), figures)
 
 

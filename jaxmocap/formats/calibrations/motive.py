@@ -23,7 +23,7 @@ MODEL = "IntrinsicStandardCameraModel"
 def read(source: Source) -> SourceCalibration | None:
     """All cameras; InputError where a field of one does not fit."""
     cameras = []
-    for element in source.elements("*/Calibration/Cameras/Camera"):
+    for element in source.xml.findall("*/Calibration/Cameras/Camera"):
         camera = XmlCamera(source.path, element, "Serial")
         size = camera.numbers("Attributes", "ImagerPixelWidth", "ImagerPixelHeight")
         focal = camera.numbers(MODEL, "HorizontalFocalLength", "VerticalFocalLength")

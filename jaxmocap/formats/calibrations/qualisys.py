@@ -27,7 +27,7 @@ SUB_PIXELS = 64
 
 def read(source: Source) -> SourceCalibration | None:
     """The cameras that are calibrated; InputError where a field of one does not fit."""
-    elements = source.elements("calibration/cameras/camera")
+    elements = source.xml.findall("calibration/cameras/camera")
     if not elements:
         return None
     cameras, uncalibrated, rotated = [], [], []

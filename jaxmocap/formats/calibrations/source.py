@@ -28,21 +28,17 @@ class Source:
 
     Attributes:
         path: of the file or folder.
-        xml: an element that holds the root of an XML file.
+        xml: an element that holds the root of an XML file, else nothing.
         toml: tables of a TOML file.
         yaml: entries of a file of OpenCV's YAML.
         pickled: what a pickle holds.
     """
 
     path: Path
-    xml: Element | None = None
+    xml: Element = field(default_factory=lambda: Element("file"))
     toml: Mapping[str, Any] = field(default_factory=dict)
     yaml: Mapping[str, Any] = field(default_factory=dict)
     pickled: Any = None
-
-    def elements(self, tags: str) -> list[Element]:
-        """Elements of an XML file by the tags that lead to them from the root; else none."""
-        return [] if self.xml is None else self.xml.findall(tags)
 
 
 @dataclass(frozen=True)

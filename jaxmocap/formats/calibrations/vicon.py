@@ -46,7 +46,7 @@ def read(source: Source) -> SourceCalibration | None:
         InputError: a field that is missing or does not fit, a moving camera, or a lens that
             OpenCV's model does not describe.
     """
-    elements = source.elements("Cameras/Camera")
+    elements = source.xml.findall("Cameras/Camera")
     if not elements:
         return None
     video = [each for each in elements if "video" in each.get("TYPE", "").lower()]

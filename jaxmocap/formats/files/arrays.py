@@ -76,16 +76,6 @@ class ArraySpec:
     max_characters: int = MAX_NAME_CHARACTERS
 
 
-@dataclass(frozen=True)
-class _Header:
-    """What an array's member of the zip file says: where its values start, and what they are."""
-
-    start: int
-    shape: tuple[int, ...]
-    fortran: bool
-    dtype: np.dtype
-
-
 class NpzArrays:
     """The arrays of a .npz file, none of them read yet.
 
@@ -124,11 +114,12 @@ class NpzArrays:
         return {name: self._read(name, what) for name, what in stated.items()}
 
     def _read(self, name: str, stated: ArraySpec) -> np.ndarray:
-        header = self._header(name)
-        self._check_kind(name, header, stated)
-        self._check_shape(name, header.shape, stated)
-        self._check_size(name, header, stated)
-        stored = self._values(name, header)
+        start, shape, fortran, dtype = self._header(name)
+        self._check_kind(name, dtype, stated)
+        self._check_shape(name, shape, stated)
+        self._check_size(name, start, math.prod(shape), dtype, stated)
+        stored = self._values(name, start, math.prod(shape), dtype)
+        stored = stored.reshape(shape, order="F" if fortran else "C")
         if stated.kind in (NAMES, TEXT):
             self._check_texts(name, stored, stated)
             return stored
@@ -142,8 +133,11 @@ class NpzArrays:
     def _error(self, name: str, problem: str) -> InputError:
         return InputError(self.path, f"{short_name(name)}: {problem}")
 
-    def _header(self, name: str) -> _Header:
-        """What the array's own header says; a few thousand bytes are decompressed for it."""
+    def _header(self, name: str) -> tuple[int, tuple[int, ...], bool, np.dtype]:
+        """Where the values start, their shape, whether in Fortran's order, and what they are.
+
+        The array's own header says so; a few thousand bytes are decompressed for it.
+        """
         try:
             with self._zip.open(self._members[name]) as member:
                 start = io.BytesIO(member.read(MAX_HEADER_CHARACTERS))
@@ -155,10 +149,9 @@ class NpzArrays:
         # What parses the header raises any of a dozen, of the zip file and of Python's own text.
         except Exception:
             raise self._error(name, "no NumPy array, or damaged") from None
-        return _Header(start.tell(), shape, fortran, dtype)
+        return start.tell(), shape, fortran, dtype
 
-    def _check_kind(self, name: str, header: _Header, stated: ArraySpec) -> None:
-        dtype = header.dtype
+    def _check_kind(self, name: str, dtype: np.dtype, stated: ArraySpec) -> None:
         if dtype.hasobject:
             raise self._error(name, f"found Python objects, expected {stated.kind}")
         wide = dtype.itemsize > _MAX_ITEM_BYTES.get(stated.kind, dtype.itemsize)
@@ -190,10 +183,12 @@ class NpzArrays:
             if isinstance(each, str) and each != "*":
                 self._sizes.setdefault(each, (length, name))
 
-    def _check_size(self, name: str, header: _Header, stated: ArraySpec) -> None:
+    def _check_size(
+        self, name: str, start: int, count: int, dtype: np.dtype, stated: ArraySpec
+    ) -> None:
         """Against the bytes that are there, and against what all arrays may take."""
-        count, member = math.prod(header.shape), self._members[name]
-        stored, there = count * header.dtype.itemsize, member.file_size - header.start
+        member = self._members[name]
+        stored, there = count * dtype.itemsize, member.file_size - start
         if stored != there:
             raise self._error(name, f"states {stored} bytes of values, but {there} are there")
         if stored > MAX_INFLATION * (member.compress_size + 64):
@@ -201,19 +196,18 @@ class NpzArrays:
             raise self._error(name, problem)
         if stated.kind == NAMES and count > MAX_NAMES:
             raise self._error(name, f"found {count} names, expected at most {MAX_NAMES}")
-        self._bytes_left -= count * (1 if stated.kind == BYTES else max(header.dtype.itemsize, 8))
+        self._bytes_left -= count * (1 if stated.kind == BYTES else max(dtype.itemsize, 8))
         if self._bytes_left < 0:
             most = f"expected at most {MAX_ARRAY_BYTES / 2**20:g} MB of arrays"
             raise self._error(name, f"states {stored / 2**20:.0f} MB, {most} in one file")
 
-    def _values(self, name: str, header: _Header) -> np.ndarray:
-        """The array as it is stored, in this machine's order of bytes."""
-        dtype = header.dtype
-        values = np.empty(math.prod(header.shape) * dtype.itemsize, np.uint8)
+    def _values(self, name: str, start: int, count: int, dtype: np.dtype) -> np.ndarray:
+        """(count,) values as they are stored, in this machine's order of bytes."""
+        values = np.empty(count * dtype.itemsize, np.uint8)
         done = 0
         try:
             with self._zip.open(self._members[name]) as member:
-                member.read(header.start)
+                member.read(start)
                 while done < len(values):
                     block = member.read(min(BLOCK_BYTES, len(values) - done))
                     if not block:
@@ -224,8 +218,7 @@ class NpzArrays:
                 member.read(1)
         except Exception:
             raise self._error(name, "damaged, or cut off") from None
-        shaped = values.view(dtype).reshape(header.shape, order="F" if header.fortran else "C")
-        return shaped.astype(dtype.newbyteorder("="), copy=False)
+        return values.view(dtype).astype(dtype.newbyteorder("="), copy=False)
 
     def _check_numbers(self, name: str, array: np.ndarray, stated: ArraySpec) -> None:
         low, high = stated.low, stated.high

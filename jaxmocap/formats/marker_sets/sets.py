@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -179,12 +179,7 @@ def _labels_by_marker(
     return next(iter(people.values()), {})
 
 
-class PlacedMarkers(NamedTuple):
-    """Where markers sit, on a body with the joints that they determine; the set, or None."""
-
-    skeleton: Skeleton
-    places: tuple[MarkerPlace, ...]
-    marker_set: MarkerSet | None
+PlacedMarkers = tuple[Skeleton, tuple[MarkerPlace, ...], MarkerSet | None]
 
 
 def placed_markers(
@@ -193,15 +188,18 @@ def placed_markers(
     """The places that a set and [markers.on] state.
 
     A full set determines more than the 21 joints, and those serve more of its markers.
+
+    Returns:
+        The body with the joints that they determine, where they sit on it, and the set, or None.
     """
 
     def on_body(body: Skeleton) -> PlacedMarkers:
         marker_set = read_set(fields, labels, body)
         entries = {**(marker_set.entries if marker_set else {}), **on.entries}
         places = (read_place(fields.path, name, entry) for name, entry in entries.items())
-        return PlacedMarkers(body, tuple(places), marker_set)
+        return body, tuple(places), marker_set
 
-    full = on_body(with_added_joints(skeleton, joint_rows(MARKED)))
-    if not {place.bone for place in full.places} <= set(skeleton.tree.bones):
+    _, full, _ = on_body(with_added_joints(skeleton, joint_rows(MARKED)))
+    if not {place.bone for place in full} <= set(skeleton.tree.bones):
         return on_body(skeleton)
-    return on_body(with_marked_joints(skeleton, full.places))
+    return on_body(with_marked_joints(skeleton, full))

@@ -134,8 +134,7 @@ def load_recording(path: str | Path) -> Recording:
         return _at_local_origin(
             top, Recording(skeleton, *no_markers, videos, path.stem, path, warnings)
         )
-    markers, placed, filters = _read_placed_markers(top, skeleton)
-    skeleton, places = placed.skeleton, placed.places
+    markers, (skeleton, places, marker_set), filters = _read_placed_markers(top, skeleton)
     if need_wrists(places):
         skeleton, warnings = subject_or_default(top, wrists=True)
     is_present = np.isfinite(markers.positions.sum(-1))
@@ -163,7 +162,7 @@ def load_recording(path: str | Path) -> Recording:
         top.path.parent / top.entries["markers"]["file"],
         markers.rate,
         filters,
-        marker_set=placed.marker_set,
+        marker_set=marker_set,
         fit=TomlTable(path, "[markers]", top.entries["markers"]).flag("fit", True),
     )
     return _at_local_origin(top, recording)
@@ -201,9 +200,9 @@ def load_markers(path: str | Path) -> tuple[Markers, tuple[MarkerPlace, ...]]:
     path = Path(path)
     keys = ("markers", "video", "calibration", "subject")
     top, skeleton = TomlTable(path, "", read_toml(path), keys), Skeleton.human()
-    markers, placed, _ = _read_placed_markers(top, skeleton)
-    check_bones(path, placed.places, skeleton)
-    return markers, placed.places
+    markers, (_, places, _), _ = _read_placed_markers(top, skeleton)
+    check_bones(path, places, skeleton)
+    return markers, places
 
 
 def _read_placed_markers(
@@ -226,7 +225,7 @@ def _read_placed_markers(
     all_markers = read_markers(file)
     available = (*all_markers.names, *sets.entries)
     placed = placed_markers(fields, on, all_markers.names, skeleton)
-    entries = [place.name for place in placed.places]
+    entries = [place.name for place in placed[1]]
     markers = with_rigid_sets(sets, all_markers, entries)
     # A long recording's numbers are not to be in memory thrice.
     del all_markers

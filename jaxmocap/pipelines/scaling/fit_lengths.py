@@ -15,8 +15,7 @@ import numpy as np
 from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import Skeleton, scale_to_height, with_wrists
 from jaxmocap.body.subject import skeleton_stature
-from jaxmocap.capture.footage import forward_readers
-from jaxmocap.capture.frame_cache import cached_frames
+from jaxmocap.capture.footage import cached_frames, forward_readers
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evaluation.interval_plot import plot_intervals
 from jaxmocap.evidence.appearance.learned import ROWS

@@ -3,7 +3,7 @@
 INPUTS: a body before and after, the fit of its lengths. OUTPUTS: text, figures, intervals.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -46,16 +46,16 @@ class LengthEstimate:
     Attributes:
         name: of the proportion.
         bones: that it is the length of, in sum, those of one side.
-        metres: as estimated.
-        stated_metres: as stated.
+        length_m: as estimated, metres.
+        stated_m: as stated, metres.
         deviation_before: standard deviation among people, a share of the length.
         deviation_after: the same given the recording.
     """
 
     name: str
     bones: tuple[str, ...]
-    metres: float
-    stated_metres: float
+    length_m: float
+    stated_m: float
     deviation_before: float
     deviation_after: float
 
@@ -67,9 +67,9 @@ class LengthEstimate:
     @property
     def line(self) -> str:
         """All of it as a line of text."""
-        change = self.metres / self.stated_metres - 1
+        change = self.length_m / self.stated_m - 1
         return (
-            f"{self.name.ljust(16)} {self.metres:.4f} m ({change:+.1%})  "
+            f"{self.name.ljust(16)} {self.length_m:.4f} m ({change:+.1%})  "
             f"± {self.deviation_after:.1%}, before ± {self.deviation_before:.1%}  {self.verdict}"
         )
 
@@ -133,8 +133,8 @@ class LengthsReport:
         """Two deviations about each length, before and after, shares of the length as stated."""
         return [
             Interval(
-                f"{length.name}\n{length.metres:.3f} m",
-                length.metres / length.stated_metres - 1,
+                f"{length.name}\n{length.length_m:.3f} m",
+                length.length_m / length.stated_m - 1,
                 2 * length.deviation_before,
                 2 * length.deviation_after,
                 length.verdict,
@@ -149,14 +149,8 @@ class LengthsReport:
             "mass_kg": float(self.skeleton.masses.sum()),
             "rule": " ".join(RULE),
             "lengths": {
-                length.name: {
-                    "bones": list(length.bones),
-                    "length_m": length.metres,
-                    "stated_m": length.stated_metres,
-                    "deviation_before": length.deviation_before,
-                    "deviation_after": length.deviation_after,
-                    "verdict": length.verdict,
-                }
+                length.name: {key: value for key, value in asdict(length).items() if key != "name"}
+                | {"verdict": length.verdict}
                 for length in self.lengths
             },
             "correlation": self.correlation.tolist(),

@@ -8,33 +8,34 @@ Smoothing starts where the search has the elbows: from the markers' poses it end
 INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its Report.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
-from jaxmocap.body.motion import Motion
+from jaxmocap.body.motion import Motion, landmarks_over_time
 from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.calibration.static_trial import measured_bones
 from jaxmocap.capture.checks.lengths import check_stretched_arms
 from jaxmocap.capture.filters import Cleaning, check_cutoff, filter_markers
-from jaxmocap.capture.footage import forward_readers, open_footage
-from jaxmocap.capture.frame_cache import cached_frames
-from jaxmocap.capture.keypoints import Keypoints, open_keypoints
-from jaxmocap.capture.timeline import Mode
+from jaxmocap.capture.footage import cached_frames, forward_readers, open_footage
+from jaxmocap.capture.keypoints import Keypoints, marked_landmarks, open_keypoints, select_person
+from jaxmocap.capture.timeline import Mode, Timeline
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.appearance.learned import ROWS
-from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.evidence.keypoints import SightLines, lines_of_sight
+from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.hybrid.settings import Settings, unused_setting
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
-from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events
 from jaxmocap.pipelines.tracking.marked import MarkedPass, followed, is_marked
 from jaxmocap.pipelines.tracking.motions import Tracked, gathered, low_passed, motions, unsmoothed
 from jaxmocap.smoothing.batch import smooth_recording
@@ -234,3 +235,53 @@ def _low_passed(
 def make_tracker(recording: Recording, settings: Settings | None = None) -> HybridTracker:
     """The tracker for a recording's person, markers and cameras."""
     return HybridTracker.from_recording(recording, settings)
+
+
+def lines_at_events(
+    recording: Recording,
+    keypoints: Sequence[Keypoints | None],
+    timeline: Timeline,
+    marker_poses: Pose,
+) -> SightLines | None:
+    """Lines of sight of the cameras with key points to the tracked person's landmarks.
+
+    Args:
+        recording: that the videos are of.
+        keypoints: of each video.
+        timeline: E events.
+        marker_poses: (E, ...) of the markers alone, which separate the person from others.
+
+    Returns:
+        (E, ...) of all these cameras; None where there is none.
+    """
+    points_world = landmarks_over_time(recording.skeleton, marker_poses)
+    lines = [
+        _lines(recording, source, each, timeline, frames, points_world)
+        for source, each, frames in zip(
+            recording.videos, keypoints, timeline.frame_index.T, strict=True
+        )
+        if each is not None
+    ]
+    return jax.tree.map(lambda *parts: np.concatenate(parts, 1), *lines) if lines else None
+
+
+def _lines(
+    recording: Recording,
+    source: VideoSource,
+    keypoints: Keypoints,
+    timeline: Timeline,
+    frames: np.ndarray,
+    points_world: np.ndarray,
+) -> SightLines:
+    """One camera's lines (E, 1, ...), of its frames (E,) or -1."""
+    names = keypoints.landmarks
+    marked = marked_landmarks(recording, names, timeline.event_times)
+    # Markers identify a person better than a pose, where they sit on enough of the landmarks.
+    enough = np.isfinite(marked).all(-1).sum(1) >= 2
+    posed = points_world[:, landmark_rows(names)]
+    expected = np.where(enough[:, None, None], marked, posed)
+    expected[frames < 0] = np.nan
+    at_events = replace(
+        keypoints, pixels_xy=keypoints.pixels_xy[frames], confidences=keypoints.confidences[frames]
+    )
+    return lines_of_sight(source.camera, names, *select_person(at_events, source.camera, expected))
