@@ -73,11 +73,19 @@ def align_detections(detections: Detections, frames: int, first: int | None = No
         InputError: numbers from which the first frame cannot be inferred, or none of them in the
             video.
     """
-    first = _first_number(detections, frames) if first is None else first
+    smallest, largest = detections.numbers[[0, -1]].tolist()
+    if first is None:
+        span = largest - smallest + 1
+        if span != frames and (smallest not in (0, 1) or span > frames):
+            raise InputError(
+                detections.name,
+                f"found key points of frames {smallest} to {largest} for a video of {frames} "
+                "frames; state keypoints_first in [[video]], the number of its first frame",
+            )
+        first = int(smallest)
     rows = detections.numbers - first
     inside = (rows >= 0) & (rows < frames)
     if not inside.any():
-        smallest, largest = detections.numbers[[0, -1]].tolist()
         raise InputError(
             detections.name,
             f"found key points of frames {smallest} to {largest}, but the video has "
@@ -93,23 +101,6 @@ def align_detections(detections: Detections, frames: int, first: int | None = No
         warning = f"key points of {inside.sum()} of the video's {frames} frames"
         warnings += (f"{detections.name}: {warning}",)
     return Keypoints(detections.landmarks, pixels_xy, confidences, warnings)
-
-
-def _first_number(detections: Detections, frames: int) -> int:
-    """The number of a video's first frame, inferred from the detections' numbers.
-
-    Raises:
-        InputError: the numbers leave it open.
-    """
-    smallest, largest = detections.numbers[[0, -1]].tolist()
-    span = largest - smallest + 1
-    if span != frames and (smallest not in (0, 1) or span > frames):
-        raise InputError(
-            detections.name,
-            f"found key points of frames {smallest} to {largest} for a video of {frames} "
-            "frames; state keypoints_first in [[video]], the number of its first frame",
-        )
-    return smallest
 
 
 def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: float) -> int:

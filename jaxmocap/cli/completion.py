@@ -18,8 +18,6 @@ SHELLS = ("bash", "zsh", "fish")
 # What a value is called in --help, where any file can be meant, or a folder.
 _FILES = ("FILE", "FROM", "IMAGE", "IMAGE|VIDEO", "PERSON", "TO", "TRUTH.trc")
 _FOLDERS = ("CORPUS_DIR", "DIR")
-# Options whose value is a name or a file.
-_ALSO_FILES = ("--detector",)
 
 
 class ShowCompletion(argparse.Action):
@@ -134,7 +132,8 @@ def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
         name = action.metavar or ""
         if name in _FOLDERS:
             action.complete = shtab.DIRECTORY
-        elif name in _FILES or set(action.option_strings) & set(_ALSO_FILES):
+        # The value of --detector is a name or a file.
+        elif name in _FILES or "--detector" in action.option_strings:
             action.complete = shtab.FILE
         elif suffix := PurePath(name).suffix:
             action.complete = shtab.glob(f"*{suffix}")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.motion import Motion, Report
-from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.files.writing import write_text
 from jaxmocap.outputs.report import misfit, plain, summarise
 
 
@@ -89,6 +89,5 @@ def write_figures(figures: Mapping, path: str | Path | None = None) -> str:
     """The figures as JSON text, NaN as null; written to a file where one is named."""
     text = json.dumps(plain(figures), indent=2, ensure_ascii=False, allow_nan=False)
     if path is not None:
-        with replacing(path) as beside:
-            beside.write_text(text + "\n", encoding="utf-8")
+        write_text(path, text + "\n")
     return text

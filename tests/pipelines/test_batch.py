@@ -155,7 +155,7 @@ def test_a_cluster_is_used_by_its_address_and_goes_on_when_a_process_dies(finish
         (broken,) = cluster.results_as_completed(client, track_one, jobs[:1])
     assert [answers[number].result for number in range(4)] == [None, 2, 4, 6]
     assert "its process died" in answers[0].problem and answers[1].problem is None
-    assert broken.job.name == BROKEN and "markers.trc" in broken.result.problem
+    assert broken.job.name == BROKEN and "markers.trc" in broken.result
 
 
 def test_a_scheduler_that_is_not_there_is_bad_input(monkeypatch):

@@ -166,7 +166,7 @@ def _other_axes(recording: Recording, camera: Camera) -> tuple[str, float, bool]
         image. Where several do as well, it is a mirror image if left and right fit it.
     """
     facing = facing_of_pairs(recording)
-    expected = bool(facing) and all(each.is_exchanged for each in facing)
+    expected = bool(facing) and all(reason for _, reason in facing)
     positions = recording.positions_world.reshape(-1, 3)
     positions = positions[np.isfinite(positions).all(-1)]
     options = []

@@ -7,7 +7,6 @@ INPUTS: a Recording. OUTPUTS: Findings about labels that are exchanged.
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 
@@ -33,43 +32,8 @@ MIN_APART_M = 0.5
 BESIDE_M = 0.1
 
 
-class Facing(NamedTuple):
-    """How a left and a right marker are to what shows the front.
-
-    Attributes:
-        pair: the markers.
-        hands_share: share of the samples, with hands well away from the head, in which they are
-            where the front is with the left marker at the left; 0.5 where too few are.
-        hands_ahead: that distance before the head in the mean, metres.
-        walk_share: the same of the metres that are walked; 0.5 where they are too few.
-    """
-
-    pair: tuple[int, int]
-    hands_share: float
-    hands_ahead: float
-    walk_share: float
-
-    @property
-    def is_exchanged(self) -> bool:
-        """Hands or walking say that left is right, and the other does not deny it."""
-        return _vote(self.hands_share) + _vote(self.walk_share) < 0
-
-    def reason(self) -> str:
-        """What says so."""
-        if _vote(self.hands_share) < 0:
-            return (
-                f"the hands are behind the head in {100 * (1 - self.hands_share):.0f} % of the "
-                f"samples, by {-self.hands_ahead:.2f} m on average"
-            )
-        return f"{100 * (1 - self.walk_share):.0f} % of the way is walked backwards"
-
-
-def _vote(share: float) -> int:
-    return int(share >= MIN_AGREEING_SHARE) - int(share <= 1 - MIN_AGREEING_SHARE)
-
-
-def facing_of_pairs(recording: Recording) -> list[Facing]:
-    """Which way round each pair of markers is."""
+def facing_of_pairs(recording: Recording) -> list[tuple[tuple[int, int], str]]:
+    """Each left marker and its right one, and what says that they are exchanged; "" if nothing."""
     head = [i for i, place in enumerate(recording.places) if place.bone == "head"]
     # Markers at the same place of the left and the right side.
     places = {(place.bone, place.at): i for i, place in enumerate(recording.places)}
@@ -90,9 +54,22 @@ def facing_of_pairs(recording: Recording) -> list[Facing]:
     found = []
     for left, right in pairs:
         leftward = positions[:, left] - positions[:, right]
-        of_hands = _hands_share(_forward(ahead, leftward))
-        of_walk = _walk_share(_forward(walked, leftward), steps)
-        found.append(Facing((left, right), *of_hands, of_walk))
+        hands_share, hands_ahead = _hands_share(_forward(ahead, leftward))
+        walk_share = _walk_share(_forward(walked, leftward), steps)
+        votes = [
+            int(share >= MIN_AGREEING_SHARE) - int(share <= 1 - MIN_AGREEING_SHARE)
+            for share in (hands_share, walk_share)
+        ]
+        # Hands or walking say that left is right, and the other does not deny it.
+        reason = ""
+        if sum(votes) < 0 and votes[0] < 0:
+            reason = (
+                f"the hands are behind the head in {100 * (1 - hands_share):.0f} % of the samples, "
+                f"by {-hands_ahead:.2f} m on average"
+            )
+        elif sum(votes) < 0:
+            reason = f"{100 * (1 - walk_share):.0f} % of the way is walked backwards"
+        found.append(((left, right), reason))
     return found
 
 
@@ -103,6 +80,7 @@ def _forward(ahead: np.ndarray, leftward: np.ndarray) -> np.ndarray:
 
 
 def _hands_share(forward: np.ndarray) -> tuple[float, float]:
+    """Of (T,) metres, the share ahead among those clearly off 0 (0.5 of few), and their mean."""
     is_clear = np.abs(forward) > MIN_HANDS_AHEAD_M
     if is_clear.sum() < 0.25 * len(forward):
         return 0.5, 0.0
@@ -132,10 +110,10 @@ def _walk_share(forward: np.ndarray, seconds: np.ndarray) -> float:
 def check_sides(recording: Recording) -> Iterator[Finding]:
     """Left and right."""
     facing = facing_of_pairs(recording)
-    wrong = [each for each in facing if each.is_exchanged]
+    wrong = [(pair, reason) for pair, reason in facing if reason]
     if not wrong:
         return
-    names = [tuple(recording.marker_names[i] for i in each.pair) for each in wrong]
+    names = [tuple(recording.marker_names[i] for i in pair) for pair, _ in wrong]
     exchanged = ", ".join(f"{left} and {right}" for left, right in names)
     alternative = ""
     if len(wrong) == len(facing):
@@ -145,7 +123,7 @@ def check_sides(recording: Recording) -> Iterator[Finding]:
         )
     yield Finding(
         "left and right",
-        f"[markers.on] {exchanged}: {wrong[0].reason()}; left and right are exchanged{alternative}",
+        f"[markers.on] {exchanged}: {wrong[0][1]}; left and right are exchanged{alternative}",
     )
 
 

@@ -33,8 +33,6 @@ MAX_CHANNELS = 4096
 MAX_LABEL_CHARACTERS = 200
 MAX_STREAM_CHARACTERS = 200
 METRES_PER_UNIT = {"": 1.0, "m": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "millimeters": 1e-3}
-POSITION_SUFFIXES = (".x", ".y", ".z")
-QUATERNION_SUFFIXES = (".qx", ".qy", ".qz", ".qw")
 
 
 class MarkerStream(MarkerSource):
@@ -125,11 +123,9 @@ class MarkerStream(MarkerSource):
         channels_of = {}
         for i, label in enumerate(labels):
             name = label.removesuffix(".x")
-            if labels[i : i + 3] == [name + axis for axis in POSITION_SUFFIXES]:
+            if labels[i : i + 3] == [f"{name}.{axis}" for axis in "xyz"]:
                 scales = tuple(METRES_PER_UNIT.get(unit, math.nan) for unit in units[i : i + 3])
-                has_orientation = labels[i + 3 : i + 7] == [
-                    name + part for part in QUATERNION_SUFFIXES
-                ]
+                has_orientation = labels[i + 3 : i + 7] == [f"{name}.q{part}" for part in "xyzw"]
                 channels_of[name] = i, scales, has_orientation
         if not channels_of or any(map(math.isnan, chain(*(s for _, s, _ in channels_of.values())))):
             found_labels = comma_list(labels[:6]) or "none"

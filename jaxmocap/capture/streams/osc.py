@@ -15,7 +15,7 @@ be used is ignored without the others of its bundle, as the protocol's specifica
 
 import math
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 # Farther from the origin no room is, metres.
@@ -94,21 +94,24 @@ def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
     has_scaled = False
     for message in _messages(datagram, MAX_DEPTH):
         address = message[: max(message.find(b"\0"), 0)]
-        read = _reader(address, raw)
-        if read is None and address != _TIME:
+        is_device = address.startswith(_DEVICES) and address.endswith(
+            b"/Pos/Local" if raw else b"/Pos"
+        )
+        is_tracker = address.startswith(_TRACKERS) and address.endswith((_POSITION, _ROTATION))
+        if not (is_device or is_tracker or address == _TIME):
             has_scaled |= raw and address.startswith(_DEVICES) and address.endswith(b"/Pos")
             continue
         budget -= 1
         if budget < 0:
             raise BadPacketError("malformed")
         try:
-            if read is None:
+            if address == _TIME:
                 (stamp,) = _arguments(message, 0, 1)[1]
                 # Such seconds are too coarse to keep a rhythm.
                 if _tags(message)[0][0] == "f" and abs(stamp) >= COARSE_STAMP_S:
                     stamp = None
             else:
-                markers.append(read(message, address))
+                markers.append((_device if is_device else _tracker)(message, address))
         except BadPacketError as why:
             ignored.add(str(why))
     if has_scaled and not markers:
@@ -118,15 +121,6 @@ def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
         (tag,) = struct.unpack_from(">Q", datagram, 8)
         stamp = None if tag == _IMMEDIATELY else tag / _FRACTIONS
     return Packet(tuple(markers), stamp, is_bundle, tuple(sorted(ignored)))
-
-
-def _reader(address: bytes, raw: bool) -> Callable[[bytes, bytes], MarkerMessage] | None:
-    """What reads a message about a marker; None for all others."""
-    if address.startswith(_DEVICES) and address.endswith(b"/Pos/Local" if raw else b"/Pos"):
-        return _device
-    if address.startswith(_TRACKERS) and address.endswith((_POSITION, _ROTATION)):
-        return _tracker
-    return None
 
 
 def _messages(content: bytes, deepest: int, budget: list[int] | None = None) -> Iterator[bytes]:

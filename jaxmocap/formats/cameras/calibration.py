@@ -69,18 +69,14 @@ class Intrinsics:
         return fields | {"fisheye": self.fisheye}
 
 
-def read_calibration(path: str | Path, origin_world: np.ndarray | None = None) -> dict[str, Camera]:
+def read_calibration(path: str | Path) -> dict[str, Camera]:
     """Read every camera of a calibration file.
-
-    Args:
-        path: of the file.
-        origin_world: (3,) metres, subtracted from the cameras' positions; None: zero.
 
     Raises:
         InputError: no such file, no camera in it, or a field that is missing or does not fit.
     """
     sections = read_sections(path)
-    return {name: camera_of(path, sections, name, origin_world) for name in sections}
+    return {name: camera_of(path, sections, name) for name in sections}
 
 
 def read_sections(path: str | Path) -> dict[str, Any]:

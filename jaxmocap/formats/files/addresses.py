@@ -59,23 +59,19 @@ def read_address(fields: TomlTable, key: str, default: Address) -> Address:
     """
     if key not in fields:
         return default
-    value = fields.entries[key]
-    host, port = _host(value), _port(value)
-    if host is None or port is None:
+    host, value = "", fields.entries[key]
+    port: Any = value
+    if isinstance(value, str):
+        host, _, text = value.rpartition(":")
+        port = int(text) if _PORT.fullmatch(text) else None
+        if host.startswith("[") and host.endswith("]"):
+            host = host[1:-1]
+    is_name = len(host) <= MAX_HOST_CHARACTERS and _HOST.fullmatch(host)
+    is_port = isinstance(port, int) and not isinstance(port, bool) and 1 <= port <= MAX_PORT
+    if not is_port or (host and not is_name and not _is_ip_address(host)):
         expected = f"an address such as '{default}', or a port from 1 to {MAX_PORT}"
         raise fields.error(key, f"found {short_repr(value)}, expected {expected}")
     return Address(host or default.host, port)
-
-
-def _host(value: Any) -> str | None:
-    """What stands before the port, "" where nothing does; None where it is no host."""
-    if not isinstance(value, str):
-        return ""
-    host = value.rpartition(":")[0]
-    if host.startswith("[") and host.endswith("]"):
-        host = host[1:-1]
-    is_name = len(host) <= MAX_HOST_CHARACTERS and _HOST.fullmatch(host)
-    return host if not host or is_name or _is_ip_address(host) else None
 
 
 def _is_ip_address(host: str) -> bool:
@@ -84,16 +80,6 @@ def _is_ip_address(host: str) -> bool:
     except ValueError:
         return False
     return host.isprintable()
-
-
-def _port(value: Any) -> int | None:
-    """The port of a number or of "host:port"; None where it is none."""
-    if isinstance(value, str):
-        port = value.rpartition(":")[2]
-        value = int(port) if _PORT.fullmatch(port) else None
-    if isinstance(value, bool) or not isinstance(value, int):
-        return None
-    return value if 1 <= value <= MAX_PORT else None
 
 
 def resolve_address(address: Address) -> tuple[socket.AddressFamily, Any]:

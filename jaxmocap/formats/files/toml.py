@@ -5,7 +5,7 @@ OUTPUTS: a dict; or a .toml file.
 """
 
 import json
-import math
+import sys
 import tomllib
 import unicodedata
 from collections.abc import Collection
@@ -142,7 +142,9 @@ class TomlTable:
     ) -> float:
         """A number from ``low`` to ``high``; required where there is no default."""
         value = self.required(key) if default is None else self.entries.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not _finite(value):
+        # A whole number may be too large to be a float.
+        is_number = isinstance(value, (int, float)) and abs(value) <= sys.float_info.max
+        if isinstance(value, bool) or not is_number:
             raise self.error(key, f"found {short_repr(value)}, expected a number")
         if not low <= value <= high:
             expected = f"expected a number from {low:g} to {high:g}"
@@ -193,13 +195,6 @@ def is_folder(path: Path) -> bool:
     try:
         return path.is_dir()
     except (OSError, ValueError):
-        return False
-
-
-def _finite(value: float) -> bool:
-    try:
-        return math.isfinite(value)
-    except OverflowError:
         return False
 
 

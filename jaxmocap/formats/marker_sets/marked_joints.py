@@ -45,7 +45,7 @@ def with_marked_joints(skeleton: Skeleton, places: Sequence[Placed]) -> Skeleton
     full = with_added_joints(skeleton, rows)
     if not determine_body(full, marker_sites(full, places)):
         return skeleton
-    shares = _open_shares(full, marker_sites(full, places))
+    shares = np.asarray(_left_open(full, marker_sites(full, places))[1])
     determined = {
         joint for joint, share in zip(full.tree.joints, shares, strict=True)
         if share < DETERMINED_SHARE
@@ -61,14 +61,9 @@ def determine_body(skeleton: Skeleton, markers: Sites) -> bool:
     return bool(_left_open(skeleton, markers)[0].max() < OPEN_M)
 
 
-def _open_shares(skeleton: Skeleton, markers: Sites) -> np.ndarray:
-    """(D,) deviations of the joints given the markers, as shares of the usual ones."""
-    return np.asarray(_left_open(skeleton, markers)[1])
-
-
 @jax.jit
 def _left_open(skeleton: Skeleton, markers: Sites) -> tuple[Array, Array]:
-    """Deviations of the ``LIMBS``, metres, and the shares of ``_open_shares``."""
+    """Deviations of the ``LIMBS``, metres, and (D,) of the joints, as shares of the usual ones."""
     bent = [BENT.get(joint.rpartition("_")[0], 0.0) for joint in skeleton.tree.joints]
     pose = relaxed_pose(skeleton)
     pose = pose._replace(angles=pose.angles + jnp.asarray(bent, pose.angles.dtype))

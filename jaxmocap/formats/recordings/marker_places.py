@@ -24,7 +24,6 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import short_name, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 
-PLACE_KEYS = ("bone", "at", "offset", "offset_in", "turn", "lever")
 # A degree of orientation weighs as 1.7 mm.
 LEVER_M = 0.1
 # Metres: nothing that is fixed to a bone is further away from it.
@@ -64,7 +63,8 @@ class MarkerPlace:
 
 def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
     """Where one marker of [markers.on] sits."""
-    fields = TomlTable(path, f"[markers.on] {name}", entry, PLACE_KEYS)
+    keys = ("bone", "at", "offset", "offset_in", "turn", "lever")
+    fields = TomlTable(path, f"[markers.on] {name}", entry, keys)
     at = fields.number("at", 1.0)
     if not 0.0 <= at <= 1.0:
         raise fields.error("at", f"found {at:g}, expected a fraction between 0 and 1")

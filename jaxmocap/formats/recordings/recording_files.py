@@ -19,8 +19,6 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import is_folder, read_toml
 from jaxmocap.formats.recordings.keypoint_files import json_files
 
-_VIDEO_FILE_KEYS = ("file", "background", "keypoints")
-
 
 def input_files(path: str | Path) -> list[Path]:
     """A recording's file and all regular files that it names, or that are not there, by path.
@@ -35,7 +33,11 @@ def input_files(path: str | Path) -> list[Path]:
     named = [_table(content.get("markers")).get("file")]
     named += [_table(content.get("calibration")).get("file"), subject.get("static")]
     if isinstance(videos := content.get("video"), list):
-        named += [_table(video).get(key) for video in videos for key in _VIDEO_FILE_KEYS]
+        named += [
+            _table(video).get(key)
+            for video in videos
+            for key in ("file", "background", "keypoints")
+        ]
     for text in named:
         files |= _files(folder, text)
     for own in _files(folder, subject.get("file")):

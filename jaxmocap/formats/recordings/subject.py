@@ -27,7 +27,6 @@ from jaxmocap.formats.time_series.axes import read_axes, to_world
 from jaxmocap.formats.time_series.markers import read_markers
 
 _HEIGHT_KEYS = ("height", "mass", "proportions", "bones")
-_BONE_KEYS = ("length", "mass", "diameter", "direction")
 # Lengths that a bone may have, metres.
 LENGTH_RANGE_M = (0.01, 1.0)
 # Masses that a bone may have, kilograms.
@@ -133,7 +132,7 @@ def _with_bones(skeleton: Skeleton, bones: TomlTable) -> Skeleton:
     for name, entry in bones.entries.items():
         if name not in names:
             raise bones.error(name, f"unknown bone, expected one of {', '.join(names)}")
-        stated = TomlTable(bones.path, f"{bones.where} {name}", entry, _BONE_KEYS)
+        stated = TomlTable(bones.path, f"{bones.where} {name}", entry, _SKELETON_FIELDS)
         for key in stated.entries:
             columns[key][names.index(name)] = _bone_value(stated, key)
     parts: dict[str, Any] = {

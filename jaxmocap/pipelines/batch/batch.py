@@ -12,7 +12,7 @@ import os
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -70,20 +70,6 @@ class Job:
     folder: Path
     options: TrackingOptions
     inputs: tuple[Path, ...] = ()
-
-
-class Outcome(NamedTuple):
-    """The result of a job.
-
-    Attributes:
-        row: of the table, or None.
-        from_earlier_run: whether an earlier run had tracked it.
-        problem: why there is no row, or None.
-    """
-
-    row: CorpusRow | None
-    from_earlier_run: bool = False
-    problem: str | None = None
 
 
 @dataclass(frozen=True)
@@ -161,12 +147,12 @@ def track_corpus(
             show(0, len(jobs))
             results = results_as_completed(client, track_one, jobs, timeout_s)
             for count, (job, result, problem) in enumerate(results, 1):
-                outcome: Outcome = result or Outcome(None, problem=problem)
-                if outcome.row is None:
-                    failures[job.name] = str(outcome.problem)
+                if isinstance(outcome := problem or result, str):
+                    failures[job.name] = outcome
                 else:
-                    rows.append(outcome.row)
-                    earlier_count += outcome.from_earlier_run
+                    row, is_earlier = outcome
+                    rows.append(row)
+                    earlier_count += is_earlier
                 show(count, len(jobs))
         finally:
             # Before the cluster is closed, which may take its time.
@@ -213,15 +199,18 @@ def _check_apart(corpus: Path, out: Path, jobs: list[Job]) -> None:
         taken[parts] = job.name
 
 
-def track_one(job: Job) -> Outcome:
-    """Track one recording, unless its outputs are there already; an Outcome says why it failed.
+def track_one(job: Job) -> tuple[CorpusRow, bool] | str:
+    """Track one recording, unless its outputs are there already.
 
     The outputs' folder appears complete or not at all.
+
+    Returns:
+        Its line of the table, and whether an earlier run had tracked it; or why it failed.
     """
     try:
         mark = fingerprint(job.recording, plain(job.options))
         if earlier := read_record(job.folder, mark):
-            return Outcome(replace(earlier, recording=job.name), from_earlier_run=True)
+            return replace(earlier, recording=job.name), True
         began = perf_counter()
         keep_compiled()
         recording = load_recording(job.recording)
@@ -232,11 +221,11 @@ def track_one(job: Job) -> Outcome:
             write_tracked(motion, recording, stage, settings, progress=False)
             row = row_of(job, motion, perf_counter() - began)
             write_record(stage, mark, row)
-        return Outcome(row)
+        return row, False
     except (InputError, OSError) as error:
-        return Outcome(None, problem=str(error))
+        return str(error)
     except Exception as error:  # whatever it is, the others are to go on
-        return Outcome(None, problem=f"{type(error).__name__}: {error}")
+        return f"{type(error).__name__}: {error}"
 
 
 def row_of(job: Job, motion: Motion, took_s: float) -> CorpusRow:

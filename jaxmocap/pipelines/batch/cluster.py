@@ -20,15 +20,15 @@ CONNECT_TIMEOUT_S = 10
 POLL_INTERVAL_S = 0.05
 # Seconds between looks for jobs that take too long.
 TIMEOUT_CHECK_S = 1.0
-# Environment of the workers. Dask's own also sets MALLOC_TRIM_THRESHOLD_, with which a process
-# gives memory back only to allocate it again: half of a recording's time went there.
-WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
 # A job may end so many processes. No job waits at a worker, where it would be blamed for the
-# worker's end.
+# worker's end. Dask's own environment of the workers also sets MALLOC_TRIM_THRESHOLD_, with which a
+# process gives memory back only to allocate it again: half of a recording's time went there.
 CLUSTER_CONFIG = {
     "distributed.scheduler.allowed-failures": 2,
     "distributed.scheduler.worker-saturation": 1.0,
-    "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
+    "distributed.nanny.pre-spawn-environ": {
+        name: 1 for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    },
 }
 
 # The dashboard takes a free port, since another cluster may have the usual one. Only paths are

@@ -77,7 +77,10 @@ def calibrate_live(
     """
     listening = _Listening(setup, status, stop)
     try:
-        if not listening.wait_for_devices() or not listening.count_down(stance, countdown):
+        if not listening.wait_for_devices():
+            return {}
+        status.log(listening.now(), f"in {countdown:.0f} s {INSTRUCTIONS[stance]}")
+        if stop.wait(countdown):
             return {}
         still = listening.stand_still()
     finally:
@@ -156,11 +159,6 @@ class _Listening:
         """Which names came that are no markers of [markers.on]."""
         names = self._assembler.unknown_names
         return f"; no markers of ours: {comma_list(sorted(names.copy()))}" if names else ""
-
-    def count_down(self, stance: Stance, seconds: float) -> bool:
-        """Tell what to do, and wait."""
-        self._status.log(self.now(), f"in {seconds:.0f} s {INSTRUCTIONS[stance]}")
-        return not self._stop.wait(seconds)
 
     def stand_still(self) -> tuple[np.ndarray, np.ndarray] | None:
         """The samples of the first seconds in which all devices stood still."""

@@ -72,7 +72,7 @@ class LiveRecording:
         """
         self.folder, self.dropped = Path(folder), 0
         self.path: Path | None = None
-        self._setup, self._copies, self._subject = setup, _copies(setup), _subject(setup)
+        self._setup, (self._subject, self._copies) = setup, _subject_and_copies(setup)
         check_free(setup, self.folder)
         self._created_folder = not self.folder.exists()
         self._problems: dict[str, str] = {}
@@ -256,7 +256,7 @@ def check_free(setup: LiveSetup, folder: str | Path) -> None:
     check_folder_writable(folder)
     remove_stale_temporaries(folder)
     videos = (_video_name(setup, i) for i in range(len(setup.videos)))
-    names = (MARKERS_FILE, RECORDING_FILE, *videos, *_copies(setup))
+    names = (MARKERS_FILE, RECORDING_FILE, *videos, *_subject_and_copies(setup)[1])
     if taken := [name for name in names if os.path.lexists(folder / name)]:
         problem = f"holds {comma_list(taken)} already, which is not overwritten"
         raise InputError(folder, f"{problem}; expected another folder")
@@ -266,38 +266,26 @@ def _video_name(setup: LiveSetup, camera: int) -> str:
     return f"{setup.videos[camera].camera_name}.mp4"
 
 
-def _copies(setup: LiveSetup) -> dict[str, Path]:
-    """Name in the folder -> file that is copied there, so that it can be moved as a whole."""
+def _subject_and_copies(setup: LiveSetup) -> tuple[dict[str, Any] | None, dict[str, Path]]:
+    """The recording's table [subject], and name in the folder -> file that is copied there.
+
+    What a [subject] of its own file states is in the table, the static trial beside the recording,
+    so that it can be moved as a whole.
+    """
     copies = {}
     if setup.videos and setup.calibration is not None:
         copies[f"calibration{setup.calibration.suffix.lower()}"] = setup.calibration
-    if static := _static_file(setup):
-        copies[f"static{static.suffix.lower()}"] = static
-    return copies
-
-
-def _subject_table(setup: LiveSetup) -> tuple[Path, dict[str, Any]]:
-    """The table [subject], its own file's in its place; and what its paths are relative to."""
-    table = dict(setup.subject or {})
-    if "file" not in table:
-        return setup.path.parent, table
-    file = setup.path.parent / table.pop("file")
-    return file.parent, read_toml(file) | table
-
-
-def _static_file(setup: LiveSetup) -> Path | None:
-    folder, table = _subject_table(setup)
-    return folder / table["static"] if "static" in table else None
-
-
-def _subject(setup: LiveSetup) -> dict[str, Any] | None:
-    """The table [subject] of the recording, its static trial beside it."""
-    _, table = _subject_table(setup)
-    if static := _static_file(setup):
+    table, folder = dict(setup.subject or {}), setup.path.parent
+    if "file" in table:
+        file = folder / table.pop("file")
+        table, folder = read_toml(file) | table, file.parent
+    if "static" in table:
+        static = folder / table["static"]
         table["static"] = f"static{static.suffix.lower()}"
+        copies[table["static"]] = static
     if has_wrists(setup.skeleton):
         table = (table or {"height": DEFAULT_HEIGHT}) | {"wrists": True}
-    return table or None
+    return table or None, copies
 
 
 def _marker_entry(place: MarkerPlace, has_orientation: bool) -> dict[str, Any]:

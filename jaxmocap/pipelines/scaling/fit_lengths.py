@@ -21,7 +21,6 @@ from jaxmocap.evaluation.interval_plot import plot_intervals
 from jaxmocap.evidence.appearance.learned import ROWS
 from jaxmocap.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.recordings.marker_places import MarkerPlace
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.recordings.subject import write_subject
 from jaxmocap.pipelines.progress import Progress, progress_bar
@@ -31,10 +30,6 @@ from jaxmocap.pipelines.tracking.first_pass import scanned
 from jaxmocap.pipelines.tracking.track import make_tracker, open_recording, with_sight_lines
 from jaxmocap.smoothing.batch import FINELY, solve_recording
 
-# Bones of which one must carry a marker.
-HEAD_BONES = ("head", "neck")
-# The same of each side.
-HAND_BONES = ("radius", "hand")
 # Hands that move less than this about the head (RMS, metres) show too few postures.
 LEAST_MOVEMENT_M = 0.10
 # So do clips of fewer seconds.
@@ -124,10 +119,10 @@ def _check_recording(recording: Recording) -> None:
     if not recording.videos:
         problem = "no [[video]]: three markers alone do not determine bone lengths, film the"
         raise InputError(where, f"{problem} movement as well")
-    head = _rows(recording.places, HEAD_BONES)
-    hands = [
-        _rows(recording.places, tuple(f"{bone}_{side}" for bone in HAND_BONES)) for side in "lr"
-    ]
+    head, *hands = (
+        [i for i, place in enumerate(recording.places) if place.bone in bones]
+        for bones in (("head", "neck"), ("radius_l", "hand_l"), ("radius_r", "hand_r"))
+    )
     if not head or not all(hands):
         markers = ", ".join(f"{p.name} on {p.bone}" for p in recording.places) or "no marker"
         problem = f"[markers.on]: found {markers}, expected markers at the head and at both hands"
@@ -139,10 +134,6 @@ def _check_recording(recording: Recording) -> None:
     if moved < LEAST_MOVEMENT_M:
         problem = f"the hands keep within {100 * moved:.0f} cm (RMS) of one place before the head"
         raise InputError(where, f"{problem}, too little to determine lengths: {ADVICE}")
-
-
-def _rows(places: tuple[MarkerPlace, ...], bones: tuple[str, ...]) -> list[int]:
-    return [i for i, place in enumerate(places) if place.bone in bones]
 
 
 def _movement(positions_world: np.ndarray, head: int, hand: int) -> float:

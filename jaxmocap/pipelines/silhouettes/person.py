@@ -35,7 +35,6 @@ SUBJECT = "subject.toml"
 SURFACE = "surface.npz"
 TEXTURE = "texture.png"
 PERSON_FILES = (SUBJECT, SURFACE, TEXTURE, "model.glb", "person.png")
-RESTS_ON = "Lengths and diameters by four photographs; what they do not show, by the stature."
 
 
 class Person(NamedTuple):
@@ -68,7 +67,8 @@ def write_person(
     """
     files = [Path(directory) / name for name in PERSON_FILES]
     thick = with_thickness(person.skeleton, person.surface)
-    write_subject(files[0], thick, stature_of(thick), [RESTS_ON])
+    basis = "Lengths and diameters by four photographs; what they do not show, by the stature."
+    write_subject(files[0], thick, stature_of(thick), [basis])
     save_surface(files[1], person.surface, person.skeleton.tree)
     # As others will read them: rounded, so that they lay the picture out to the same texel.
     skeleton, surface = _read(Path(directory))

@@ -37,7 +37,6 @@ from jaxmocap.silhouette.tracker import SilhouetteTracker
 # A photographed surface's deviations by a generic one's: what was photographed needs less
 # correction than what was guessed.
 PHOTOGRAPHED_SHARE = 0.5
-ELSEWHERE = "expected somebody where the markers' first samples, or --at, put the person"
 
 
 class Masks(NamedTuple):
@@ -165,7 +164,8 @@ def track_silhouettes(
         )  # fmt: skip
     if not result.is_anybody_visible:
         where = recording.path or recording.name
-        raise InputError(where, f"no camera shows the person in any frame, {ELSEWHERE}")
+        expected = "expected somebody where the markers' first samples, or --at, put the person"
+        raise InputError(where, f"no camera shows the person in any frame, {expected}")
     # Landmarks that the body does not move.
     still = ~determined_landmarks(tracker.body.model.skeleton.tree)
     listed = ", ".join(LANDMARKS[i] for i in np.flatnonzero(still))
