@@ -2,11 +2,11 @@
 
 INPUTS: Detections (frame numbers, everybody in each frame), a video, where some landmarks of the
 tracked person are predicted.
-OUTPUTS: Keypoints, one row per frame of the video; the tracked person's own pixels and confidences.
+OUTPUTS: Detections, a row per frame of the video; the tracked person's own pixels and confidences.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,24 +24,7 @@ from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, pixels_per_metre
 PERSON_GATE_M = 0.25
 
 
-@dataclass(frozen=True)
-class Keypoints:
-    """Detections of at most N people in each of a video's F frames.
-
-    Attributes:
-        landmarks: names of the P points, landmarks of ours.
-        pixels_xy: (F, N, P, 2) pixels of the video; NaN where missing.
-        confidences: (F, N, P) between 0 and 1; 0 where missing.
-        warnings: sentences that a user should see.
-    """
-
-    landmarks: tuple[str, ...]
-    pixels_xy: np.ndarray
-    confidences: np.ndarray
-    warnings: tuple[str, ...] = ()
-
-
-def open_keypoints(source: VideoSource, video: FrameSource) -> Keypoints | None:
+def open_keypoints(source: VideoSource, video: FrameSource) -> Detections | None:
     """The key points of a recording's video, or None where it has none.
 
     Raises:
@@ -56,8 +39,8 @@ def open_keypoints(source: VideoSource, video: FrameSource) -> Keypoints | None:
     return align_detections(detections, len(video), source.keypoints_first)
 
 
-def align_detections(detections: Detections, frames: int, first: int | None = None) -> Keypoints:
-    """Give every frame of a video its detections.
+def align_detections(detections: Detections, frames: int, first: int | None = None) -> Detections:
+    """Give every frame of a video its detections; frames then count from 0.
 
     Detectors count from 0 (OpenPose, Pose2Sim, MMPose's inferencer), from 1 (MMPose's demos) or,
     where images were cut out of a longer recording, from anywhere. Not stated, the first frame's
@@ -100,7 +83,13 @@ def align_detections(detections: Detections, frames: int, first: int | None = No
     if inside.sum() < frames:
         warning = f"key points of {inside.sum()} of the video's {frames} frames"
         warnings += (f"{detections.name}: {warning}",)
-    return Keypoints(detections.landmarks, pixels_xy, confidences, warnings)
+    return replace(
+        detections,
+        numbers=np.arange(frames),
+        pixels_xy=pixels_xy,
+        confidences=confidences,
+        warnings=warnings,
+    )
 
 
 def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: float) -> int:
@@ -133,7 +122,7 @@ def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: floa
 
 
 def select_person(
-    keypoints: Keypoints, camera: Camera, points_world: np.ndarray
+    keypoints: Detections, camera: Camera, points_world: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The tracked person's detections among everybody's, frame by frame.
 

@@ -34,7 +34,8 @@ def progress_bar(
         yield progress or (lambda done, total: None)
         return
     waiting = f"{label}: {before} first" if before else label
-    with tqdm(desc=waiting, leave=True) as bar, _ticking(bar) as begun:
+    begun = Event()
+    with tqdm(desc=waiting, leave=True) as bar:
 
         def show(done: int, total: int) -> None:
             if not begun.is_set():
@@ -43,24 +44,17 @@ def progress_bar(
             bar.total = total
             bar.update(done - bar.n)
 
-        yield show
+        def tick() -> None:
+            # Until the first step a bar in a terminal shows the time.
+            while not begun.wait(TICK_S):
+                bar.refresh()
 
-
-@contextmanager
-def _ticking(bar: "tqdm") -> Iterator[Event]:
-    """An event to be set at the first step; until then a bar in a terminal shows the time."""
-    begun = Event()
-
-    def tick() -> None:
-        while not begun.wait(TICK_S):
-            bar.refresh()
-
-    beside = Thread(target=tick, name="progress", daemon=True)
-    if bar.fp.isatty():
-        beside.start()
-    try:
-        yield begun
-    finally:
-        begun.set()
-        if beside.is_alive():
-            beside.join()
+        beside = Thread(target=tick, name="progress", daemon=True)
+        if bar.fp.isatty():
+            beside.start()
+        try:
+            yield show
+        finally:
+            begun.set()
+            if beside.is_alive():
+                beside.join()

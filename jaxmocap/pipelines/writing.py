@@ -83,7 +83,10 @@ def ignore_warning(sentence: str) -> None:
 
 
 def tracked_folder(
-    directory: str | Path, recording: Recording, others: Iterable[str] = ()
+    directory: str | Path,
+    recording: Recording,
+    others: Iterable[str] = (),
+    inputs: Iterable[Path] = (),
 ) -> OutputFolder:
     """The folder for a tracked recording's files, checked before any work.
 
@@ -91,18 +94,16 @@ def tracked_folder(
         directory: of the outputs.
         recording: that is tracked.
         others: names of files that are written besides.
+        inputs: files that are read besides the recording's.
 
     Raises:
         InputError: it cannot be written to, holds a file that is read, or a file that no earlier
             run wrote where one of ours would go.
     """
     names = [*MOTION_FILES, "report.json", "recording.rrd", *overlay_names(recording), *others]
-    return OutputFolder(directory, MOTION, names, inputs_of(recording))
-
-
-def inputs_of(recording: Recording) -> list[Path]:
-    """The files that a recording was read from; none where it was made in memory."""
-    return [] if recording.path is None else input_files(recording.path)
+    # None where the recording was made in memory.
+    own = [] if recording.path is None else input_files(recording.path)
+    return OutputFolder(directory, MOTION, names, [*own, *inputs])
 
 
 def write_outputs(

@@ -14,7 +14,6 @@ from small_recording import CAMERA, PLACES, small_recording, standing
 
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.capture.keypoints import (
-    Keypoints,
     align_detections,
     choose_person,
     marked_landmarks,
@@ -475,7 +474,9 @@ def test_markers_on_landmarks_say_who_is_tracked():
     is_detected[:, :, 0] = is_detected[:, :, 1]
     is_detected[1] = is_detected[1, ::-1]
     is_detected[2, 0] = np.nan
-    keypoints = Keypoints(landmarks, is_detected, np.where(np.isnan(is_detected[..., 0]), 0.0, 0.8))
+    keypoints = Detections(
+        np.arange(3), landmarks, is_detected, np.where(np.isnan(is_detected[..., 0]), 0.0, 0.8)
+    )
     pixels, confidences = select_person(keypoints, CAMERA, predicted)
     np.testing.assert_array_equal(pixels[0], is_detected[0, 0])
     np.testing.assert_array_equal(pixels[1], is_detected[1, 1])
@@ -489,7 +490,7 @@ def test_what_lies_behind_the_camera_predicts_nothing():
     predicted[1, 1] = [0.0, 0.0, 1.0]
     pixels = np.asarray(project(CAMERA, jnp.asarray(predicted, float)))[:, None]
     only_right = np.where([[[[False], [True]]]], pixels, np.nan)
-    keypoints = Keypoints(("wrist_l", "wrist_r"), only_right, np.ones((2, 1, 2)))
+    keypoints = Detections(np.arange(2), ("wrist_l", "wrist_r"), only_right, np.ones((2, 1, 2)))
     actual, _ = select_person(keypoints, CAMERA, predicted)
     assert np.isnan(actual[0]).all()
     np.testing.assert_array_equal(actual[1], only_right[1, 0])

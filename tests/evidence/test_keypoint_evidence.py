@@ -32,7 +32,6 @@ from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.capture.keypoints import Keypoints
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import MemoryVideo
 from jaxmocap.evidence.keypoints import TAILS, SightLines, line_residuals, lines_of_sight
@@ -249,13 +248,13 @@ def test_candidates_for_the_elbows_are_priced_by_key_points_too():
 # A recording -------------------------------------------------------------------------------------
 
 
-def person_and_bystander(recording, frames: int) -> tuple[Keypoints, np.ndarray]:
+def person_and_bystander(recording, frames: int) -> tuple[Detections, np.ndarray]:
     """Both in every frame, the bystander first; and the person's pixels (P, 2)."""
     names = tuple(landmark for _, landmark in PLACES.values())
     there = np.asarray(project(CAMERA, jnp.asarray(recording.positions_world[0], float)))
     both = np.stack([there + np.array([30, 0]), there])
     pixels = np.tile(both, (frames, 1, 1, 1))
-    return Keypoints(names, pixels, np.full(pixels.shape[:3], 0.9)), there
+    return Detections(np.arange(frames), names, pixels, np.full(pixels.shape[:3], 0.9)), there
 
 
 def standing_poses(count: int) -> Pose:
@@ -289,7 +288,7 @@ def test_where_no_marker_sits_on_a_landmark_the_person_is_found_by_the_poses():
     where = landmarks_over_time(recording.skeleton, poses)[0]
     pixels = np.asarray(project(CAMERA, jnp.asarray(where, float)))
     people = np.tile(np.stack([pixels + np.array([40, 0]), pixels]), (12, 1, 1, 1))
-    keypoints = Keypoints(LANDMARKS, people, np.ones(people.shape[:3]))
+    keypoints = Detections(np.arange(12), LANDMARKS, people, np.ones(people.shape[:3]))
     places = tuple(replace(place, at=0.5) for place in recording.places)
     actual = lines_at_events(replace(recording, places=places), [keypoints], timeline, poses)
     assert actual is not None

@@ -145,10 +145,17 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
 
 def settings_of(options: argparse.Namespace, by_hand: bool = False) -> Settings:
     """The settings that the options ask for; ``by_hand`` where the first pose is rough."""
-    from jaxmocap.pipelines.silhouettes.first_pose import settings_for
+    from jaxmocap.silhouette.settings import FAR_OFF, GREY, Settings, progressive
 
-    loop = {name: getattr(options, name) for name in ("grey", "frequencies", "settle")}
-    return settings_for(f"{options.model_file}.toml", by_hand, **loop)
+    usual = Settings()
+    return replace(
+        usual,
+        body=f"{options.model_file}.toml",
+        cycles=progressive(usual.cycles, options.frequencies, len(usual.rim.levels)),
+        starting_cycles=FAR_OFF if by_hand else (),
+        settling=usual.settling._replace(rounds=options.settle),
+        plan=GREY if options.grey else usual.plan,
+    )
 
 
 COMMAND = Command(

@@ -1,9 +1,8 @@
 """How silhouettes begin: where a person is, by the markers' first samples or as stated.
 
-INPUTS: a Recording; a place; what is asked for. OUTPUTS: a Pose of the whole body; Settings.
+INPUTS: a Recording; a place; what is asked for. OUTPUTS: a Pose of the whole body; a Morphing.
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,30 +20,7 @@ from jaxmocap.geometry.cameras import depth, project
 from jaxmocap.hybrid.settings import Settings as Hybrid
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
-from jaxmocap.silhouette.settings import FAR_OFF, GREY, Settings, progressive
-
-
-def settings_for(
-    body: str, by_hand: bool, *, grey: bool = False, frequencies: int = 0, settle: int = 0
-) -> Settings:
-    """Of the tracker.
-
-    Args:
-        body: file in ``body/data``.
-        by_hand: whether the first pose was given so, and is rough.
-        grey: whether grey levels segment, rather than colours.
-        frequencies: low-passes of the surface that every frame matches first.
-        settle: rounds of segmentation and pose after that, at most.
-    """
-    usual = Settings()
-    return replace(
-        usual,
-        body=body,
-        cycles=progressive(usual.cycles, frequencies, len(usual.rim.levels)),
-        starting_cycles=FAR_OFF if by_hand else (),
-        settling=usual.settling._replace(rounds=settle),
-        plan=GREY if grey else usual.plan,
-    )
+from jaxmocap.silhouette.settings import Settings
 
 
 def morphing_for(

@@ -25,12 +25,10 @@ from jaxmocap.pipelines.silhouettes.person import Person
 from jaxmocap.pipelines.silhouettes.track import Masks, SilhouetteResult
 from jaxmocap.pipelines.viewer_frames import FrameCounter, viewer_frame_count, viewer_frames
 from jaxmocap.pipelines.writing import (
-    MOTION,
-    MOTION_FILES,
     Warn,
     ignore_warning,
-    inputs_of,
     overlay_names,
+    tracked_folder,
     write_numbers,
     write_overlays,
 )
@@ -85,9 +83,7 @@ def results_folder(
     directory: str | Path, recording: Recording, inputs: Iterable[Path] = ()
 ) -> OutputFolder:
     """The folder for these files, checked before any work; see ``tracked_folder``."""
-    videos = [name for kind in VIDEO_KINDS for name in overlay_names(recording, kind)]
-    names = [*MOTION_FILES, "report.json", "recording.rrd", *videos]
-    return OutputFolder(directory, MOTION, names, [*inputs_of(recording), *inputs])
+    return tracked_folder(directory, recording, overlay_names(recording, VIDEO_KINDS[1]), inputs)
 
 
 def write_into(
@@ -121,7 +117,7 @@ def _write_pictures(
         # The person tinted as segmented, and the body over that.
         segmented = lambda name, frames: tinted(frames, result.masks[name])  # noqa: E731
         where = motion, recording, videos, folder, {}, counter
-        files += write_overlays(*where, "segmentation", segmented)
+        files += write_overlays(*where, VIDEO_KINDS[1], segmented)
         files.append(folder / "recording.rrd")
         footage = {
             source.camera_name: Footage(source.camera, counter.over(viewer_frames(video)))

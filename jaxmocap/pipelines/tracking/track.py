@@ -23,12 +23,13 @@ from jaxmocap.calibration.static_trial import measured_bones
 from jaxmocap.capture.checks.lengths import check_stretched_arms
 from jaxmocap.capture.filters import Cleaning, check_cutoff, filter_markers
 from jaxmocap.capture.footage import cached_frames, forward_readers, open_footage
-from jaxmocap.capture.keypoints import Keypoints, marked_landmarks, open_keypoints, select_person
+from jaxmocap.capture.keypoints import marked_landmarks, open_keypoints, select_person
 from jaxmocap.capture.timeline import Mode, Timeline
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.appearance.learned import ROWS
 from jaxmocap.evidence.keypoints import SightLines, lines_of_sight
+from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.hybrid.settings import Settings, unused_setting
 from jaxmocap.hybrid.tracker import HybridTracker
@@ -171,7 +172,7 @@ class Opened(NamedTuple):
 
     recording: Recording
     videos: list[FrameSource]
-    keypoints: tuple[Keypoints | None, ...]
+    keypoints: tuple[Detections | None, ...]
     cleaning: Cleaning
     warnings: tuple[str, ...]
 
@@ -239,7 +240,7 @@ def make_tracker(recording: Recording, settings: Settings | None = None) -> Hybr
 
 def lines_at_events(
     recording: Recording,
-    keypoints: Sequence[Keypoints | None],
+    keypoints: Sequence[Detections | None],
     timeline: Timeline,
     marker_poses: Pose,
 ) -> SightLines | None:
@@ -268,7 +269,7 @@ def lines_at_events(
 def _lines(
     recording: Recording,
     source: VideoSource,
-    keypoints: Keypoints,
+    keypoints: Detections,
     timeline: Timeline,
     frames: np.ndarray,
     points_world: np.ndarray,
@@ -282,6 +283,9 @@ def _lines(
     expected = np.where(enough[:, None, None], marked, posed)
     expected[frames < 0] = np.nan
     at_events = replace(
-        keypoints, pixels_xy=keypoints.pixels_xy[frames], confidences=keypoints.confidences[frames]
+        keypoints,
+        numbers=np.arange(len(frames)),
+        pixels_xy=keypoints.pixels_xy[frames],
+        confidences=keypoints.confidences[frames],
     )
     return lines_of_sight(source.camera, names, *select_person(at_events, source.camera, expected))
