@@ -5,15 +5,20 @@ Commands are imported within ``enter``: Ctrl-C ends them with one line from the 
 
 import os
 import sys
+import threading
+from contextlib import suppress
 from typing import NoReturn
 
 INTERRUPTED = 130  # 128 and the number of SIGINT
+# Exit codes above this are of processes that a signal stopped: this and the signal's number.
+SIGNAL_EXIT_CODE = 128
+# A process that a signal stopped waits so long for its other threads, seconds.
+LONGEST_WAIT_S = 5.0
 
 
 def enter() -> NoReturn:
     """The program: run the command that its arguments name, and end the process."""
     try:
-        from jaxmocap.cli.process_exit import end_process
         from jaxmocap.cli.program import main
 
         code = main()
@@ -21,3 +26,23 @@ def enter() -> NoReturn:
         print("jaxmocap: interrupted", file=sys.stderr, flush=True)
         os._exit(INTERRUPTED)
     end_process(code)
+
+
+def end_process(code: int) -> NoReturn:
+    """End the process soon, whatever its threads do; called last, when all that matters is closed.
+
+    Where the interpreter ends while a daemon thread is in foreign code (a driver that does not
+    answer, a viewer's library), it unwinds that thread through C++, which aborts the process. And
+    where a command is interrupted, the interpreter would wait for what still compiles.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    others = set(threading.enumerate()) - {threading.current_thread()}
+    if any(thread.daemon for thread in others):
+        os._exit(code)
+    if others and code > SIGNAL_EXIT_CODE:
+        timer = threading.Timer(LONGEST_WAIT_S, os._exit, (code,))
+        timer.daemon = True
+        timer.start()
+    sys.exit(code)

@@ -278,7 +278,7 @@ def test_a_viewer_that_does_not_listen_is_killed(monkeypatch):
 
 def left(script: str, **options) -> subprocess.CompletedProcess:
     imported = "import atexit, sys, threading, time\n"
-    imported += "from jaxmocap.cli.process_exit import end_process"
+    imported += "from jaxmocap.cli import end_process"
     code = f"{imported}\n{script}"
     return subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, **options

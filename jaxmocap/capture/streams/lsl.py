@@ -53,8 +53,7 @@ class MarkerStream(MarkerSource):
         try:
             import pylsl
         except (ImportError, RuntimeError):
-            problem = "pylsl is missing: pip install 'jaxmocap[lsl]'"
-            raise InputError("[lsl]", problem) from None
+            raise InputError("[lsl]", "pylsl is missing: pip install 'jaxmocap[lsl]'") from None
         super().__init__(f"the LSL stream {short_repr(table.stream)}", RESOLVE_TIMEOUT_S + 1.0)
         self._lsl: Any = pylsl
         self._numeric = {pylsl.cf_float32, pylsl.cf_double64, pylsl.cf_int64}

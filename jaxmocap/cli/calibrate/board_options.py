@@ -22,24 +22,21 @@ def add_board(parser: argparse.ArgumentParser, required: bool) -> None:
         parser: of a kind of ``calibrate``.
         required: whether there must be a board.
     """
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "--board",
         metavar="COLUMNSxROWS",
         type=inner_corners,
         required=required,
         help="inner corners",
     )
-    parser.add_argument(
-        "--square", metavar="M", type=positive_number, required=required, help="its side, metres"
-    )
-    parser.add_argument(
+    add("--square", metavar="M", type=positive_number, required=required, help="its side, metres")
+    add(
         "--charuco",
         metavar="DICT,M",
         type=charuco_markers,
         help="a ChArUco board: its dictionary and the side of a marker, such as 5X5_100,0.045",
     )
-    parser.add_argument("--camera", metavar="NAME", required=True, help="its section in the file")
-    parser.add_argument(
-        "--out", metavar="CALIBRATION.toml", required=True, help="only that section is changed"
-    )
-    parser.add_argument("--pictures", metavar="DIR", help="draw what was found, to look at")
+    add("--camera", metavar="NAME", required=True, help="its section in the file")
+    add("--out", metavar="CALIBRATION.toml", required=True, help="only that section is changed")
+    add("--pictures", metavar="DIR", help="draw what was found, to look at")

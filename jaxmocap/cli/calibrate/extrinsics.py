@@ -21,30 +21,27 @@ four on a plane, better six or more that are not."""
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
     parser.description = f"{parser.description}\n\n{BOARD_TEXT}\n\n{POSE_TEXT}"
-    parser.add_argument("image", metavar="IMAGE")
+    add("image", metavar="IMAGE")
     place = parser.add_mutually_exclusive_group(required=True)
     place.add_argument("--pose", metavar="X,Y,Z,RX,RY,RZ", type=numbers(6), help="of the board")
     place.add_argument("--points", metavar="POINTS.csv", help="listed points, instead of a board")
     add_board(parser, required=False)
-    parser.add_argument(
+    add(
         "--origin",
         metavar="U,V",
         type=numbers(2),
         help="pixel near the board's origin, for boards that look the same when rotated",
     )
-    parser.add_argument(
-        "--up", choices=("y", "z"), default="z", help="vertical axis of what was measured"
-    )
-    parser.add_argument(
+    add("--up", choices=("y", "z"), default="z", help="vertical axis of what was measured")
+    add(
         "--upside-down",
         action="store_true",
         help="the camera hangs upside down, as from a ceiling; else one that comes out so is "
         "refused",
     )
-    parser.add_argument(
-        "--intrinsics", metavar="FILE", help=".toml or OpenCV's .yml; default: what --out holds"
-    )
+    add("--intrinsics", metavar="FILE", help=".toml or OpenCV's .yml; default: what --out holds")
 
 
 def _run(options: argparse.Namespace) -> None:

@@ -20,8 +20,9 @@ the arms ahead, bend them before the chest, then bend the knees: 6 to 10 s, faci
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
     parser.description = f"{parser.description}\n\n{LENGTHS_TEXT}"
-    parser.add_argument(
+    add(
         "--height",
         metavar="M",
         type=positive_number,
@@ -34,10 +35,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         metavar="RECORDING.toml",
         help="markers on head and hands, and video, of the arms stretched, swung and bent",
     )
-    parser.add_argument(
-        "--mass", metavar="KG", type=positive_number, help="kilograms; default: 23 kg/m²"
-    )
-    parser.add_argument(
+    add("--mass", metavar="KG", type=positive_number, help="kilograms; default: 23 kg/m²")
+    add(
         "--landmarks",
         metavar="LANDMARK=MARKER",
         type=pair("LANDMARK=MARKER"),
@@ -46,11 +45,9 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         help="neck, hips, shoulders, and any others of the static trial; without it, those that "
         "are called as landmarks are",
     )
-    parser.add_argument("--up", choices=("y", "z"), help="the static file's vertical; default: z")
-    parser.add_argument(
-        "--wrists", action="store_true", help="neck that turns, forearms that twist, wrists"
-    )
-    parser.add_argument("--out", metavar="FILE", required=True, help="subject.toml")
+    add("--up", choices=("y", "z"), help="the static file's vertical; default: z")
+    add("--wrists", action="store_true", help="neck that turns, forearms that twist, wrists")
+    add("--out", metavar="FILE", required=True, help="subject.toml")
 
 
 def _run(options: argparse.Namespace) -> None:

@@ -15,21 +15,16 @@ EXERCISES = ("push_ups", "sit_ups", "arm_raises", "turn", "walking", "jumping", 
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--out", metavar="DIR", default="jaxmocap-silhouettes", help="default: %(default)s"
-    )
-    parser.add_argument("--seconds", type=positive_number, default=2.0, help="default: %(default)s")
-    parser.add_argument(
-        "--seed", type=whole_number, default=0, help="of the rooms, the movement and noise"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("--out", metavar="DIR", default="jaxmocap-silhouettes", help="default: %(default)s")
+    add("--seconds", type=positive_number, default=2.0, help="default: %(default)s")
+    add("--seed", type=whole_number, default=0, help="of the rooms, the movement and noise")
+    add(
         "--person",
         metavar="PERSON.npz",
         help="a rigged mesh that moves; default: a simple person made here, who squats",
     )
-    parser.add_argument(
-        "--exercise", choices=EXERCISES, default="arm_raises", help="of the mesh; %(default)s"
-    )
+    add("--exercise", choices=EXERCISES, default="arm_raises", help="of the mesh; %(default)s")
 
 
 def _run(options: argparse.Namespace) -> None:

@@ -13,10 +13,9 @@ from jaxmocap.cli.reporting import exit_code, report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("corpus", metavar="CORPUS_DIR", help="recordings, at any depth")
-    parser.add_argument(
-        "--out", metavar="DIR", required=True, help="gets a folder for each, and corpus.csv"
-    )
+    add = parser.add_argument
+    add("corpus", metavar="CORPUS_DIR", help="recordings, at any depth")
+    add("--out", metavar="DIR", required=True, help="gets a folder for each, and corpus.csv")
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--scheduler", metavar="ADDRESS", help="a Dask cluster's, such as tcp://10.0.0.1:8786"
@@ -27,14 +26,14 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         type=positive_whole_number,
         help="processes here; default: one per core",
     )
-    parser.add_argument(
+    add(
         "--job-timeout",
         metavar="SECONDS",
         type=positive_number,
         help="a recording that takes longer fails; default: as long as it takes",
     )
     add_settings(parser)
-    parser.add_argument(
+    add(
         "--causal",
         dest="mode",
         action="store_const",

@@ -11,13 +11,10 @@ from jaxmocap.cli.reporting import report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--out", metavar="DIR", default="jaxmocap-demo", help="default: %(default)s"
-    )
-    parser.add_argument("--seconds", type=positive_number, default=6.0, help="default: %(default)s")
-    parser.add_argument(
-        "--seed", type=whole_number, default=0, help="of person, room, strokes and noise"
-    )
+    add = parser.add_argument
+    add("--out", metavar="DIR", default="jaxmocap-demo", help="default: %(default)s")
+    add("--seconds", type=positive_number, default=6.0, help="default: %(default)s")
+    add("--seed", type=whole_number, default=0, help="of person, room, strokes and noise")
 
 
 def _run(options: argparse.Namespace) -> None:

@@ -14,14 +14,15 @@ from jaxmocap.pipelines.signals import Terminated
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("setup", metavar="LIVE.toml", help="what to listen to and where to send")
-    parser.add_argument("--out", metavar="DIR", help="record there what 'track' reads again")
-    parser.add_argument(
+    add = parser.add_argument
+    add("setup", metavar="LIVE.toml", help="what to listen to and where to send")
+    add("--out", metavar="DIR", help="record there what 'track' reads again")
+    add(
         "--smooth",
         action="store_true",
         help="give each pose out, smoothed, after two more video frames",
     )
-    parser.add_argument(
+    add(
         "--calibrate",
         nargs="?",
         choices=("t", "i"),
@@ -30,7 +31,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "pose (arms hanging, thumbs ahead): measures height, arms and how devices are held, and "
         "puts it into LIVE.toml; t by default",
     )
-    parser.add_argument(
+    add(
         "--countdown",
         metavar="S",
         type=positive_number,
@@ -38,12 +39,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         help="seconds until that pose; default: 5",
     )
     add_settings(parser)
-    parser.add_argument(
-        "--view", choices=("window", "web"), help="show it in rerun's viewer, or in a browser"
-    )
-    parser.add_argument(
-        "--seconds", metavar="S", type=positive_number, help="how long; default: until Ctrl-C"
-    )
+    add("--view", choices=("window", "web"), help="show it in rerun's viewer, or in a browser")
+    add("--seconds", metavar="S", type=positive_number, help="how long; default: until Ctrl-C")
 
 
 def _run(options: argparse.Namespace) -> int:

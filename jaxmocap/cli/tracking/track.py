@@ -13,8 +13,9 @@ from jaxmocap.cli.reporting import exit_code, report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("recording", metavar="RECORDING.toml")
-    parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
+    add = parser.add_argument
+    add("recording", metavar="RECORDING.toml")
+    add("--out", metavar="DIR", required=True, help="where to write")
     add_settings(parser)
     mode = parser.add_mutually_exclusive_group()
     mode.add_argument(
@@ -32,17 +33,15 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         const="nearest",
         help="use the frame nearest to each marker sample, as in the paper",
     )
-    parser.add_argument(
+    add(
         "--paper",
         action="store_true",
         help="as the first paper prints it: its edges, cost, simplex and balance, nothing smoothed "
         "or remembered, the nearest frame",
     )
     add_cameras(parser, "use these of the recording's cameras")
-    parser.add_argument(
-        "--height", metavar="M", type=positive_number, help="metres, in place of the [subject]"
-    )
-    parser.add_argument(
+    add("--height", metavar="M", type=positive_number, help="metres, in place of the [subject]")
+    add(
         "--names",
         choices=("opensim",),
         help="write angles_opensim.mot as well: the coordinates of OpenSim's full-body model "

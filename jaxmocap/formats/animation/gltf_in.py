@@ -62,8 +62,7 @@ def read_gltf(path: str | Path) -> Armature:
     offsets, positions, R = _joint_motion(accessors, nodes, joints, parents, curves, times)
     extras = animation["extras"]
     start = extras["start"].number(LATEST_S) if extras.has("start") else 0.0
-    far = extras.has("origin")
-    origin = extras["origin"].numbers(3, _FARTHEST_M) if far else np.zeros(3)
+    origin = extras["origin"].numbers(3, _FARTHEST_M) if extras.has("origin") else np.zeros(3)
     return Armature(names, parents, offsets, times + start, positions + origin, R)
 
 

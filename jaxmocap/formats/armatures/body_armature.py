@@ -147,8 +147,7 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
     quaternion = Rotation.from_matrix(root).as_quat(scalar_first=True)
     parts = [armature.positions, quaternion, angles]
     parts_or_nan: list[Any] = [np.where(is_valid, part, np.nan) for part in parts]
-    poses = Pose(*parts_or_nan)
-    return near_origin(Motion(skeleton, armature.times, poses))
+    return near_origin(Motion(skeleton, armature.times, Pose(*parts_or_nan)))
 
 
 def _angles(

@@ -41,8 +41,7 @@ def read(source: Source) -> SourceCalibration | None:
     """
     files = next(filter(None, (sorted(source.path.glob(each)) for each in _FOLDERS)), [])
     if len(files) > MAX_CAMERAS:
-        problem = f"found {len(files)} cameras, expected at most {MAX_CAMERAS}"
-        raise InputError(source.path, problem)
+        raise InputError(source.path, f"found {len(files)} cameras, expected at most {MAX_CAMERAS}")
     cameras = [] if source.pickled is None else [_camera(source.path, source.pickled)]
     for path in files:
         content = read_bytes(path, MAX_PICKLE_BYTES)

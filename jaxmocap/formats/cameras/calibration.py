@@ -127,8 +127,7 @@ def read_intrinsics(path: str | Path, name: str) -> Intrinsics:
     sections = _sections(path)
     if path.suffix.lower() in YAML_SUFFIXES:
         return read_lens(TomlTable(path, "", next(iter(sections.values()))))
-    table = pick_camera(path, sections, name)
-    return read_lens(TomlTable(path, f"[{name}]", table))
+    return read_lens(TomlTable(path, f"[{name}]", pick_camera(path, sections, name)))
 
 
 def _sections(path: Path) -> dict[str, Any]:

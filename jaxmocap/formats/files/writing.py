@@ -195,5 +195,4 @@ def as_output_error(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        problem = f"cannot be written ({error.strerror or error})"
-        raise OutputError(path, problem) from error
+        raise OutputError(path, f"cannot be written ({error.strerror or error})") from error

@@ -81,8 +81,7 @@ def read_subject(path: Path, where: str, table: Any, wrists: bool = False) -> Sk
         other = TomlTable(path, where, rest, ("file",)).file("file")
         content = read_toml(other)
         if "file" in content:
-            problem = f"{other} names yet another file, expected height or static"
-            raise fields.error("file", problem)
+            raise fields.error("file", f"{other} names yet another file, expected height or static")
         skeleton = read_subject(other, "", content, usual)
         return with_wrists(skeleton) if fields.flag("wrists") else skeleton
     chosen = [key for key in ("height", "static") if key in rest]

@@ -122,8 +122,7 @@ def _header(path: str | Path, lines: Iterator[tuple[int, str]]) -> tuple[dict[st
         text = line.strip().lower()
         if text == "endheader":
             if header.get("indegrees") not in ("yes", "no"):
-                problem = "the header states neither inDegrees=yes nor inDegrees=no"
-                raise InputError(path, problem)
+                raise InputError(path, "the header states neither inDegrees=yes nor inDegrees=no")
             return header, number
         key, equals, value = text.partition("=")
         header |= {key: value} if equals else {}

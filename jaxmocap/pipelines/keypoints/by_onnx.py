@@ -61,8 +61,7 @@ def _session(path: Path) -> Any:
     try:
         import onnxruntime
     except ImportError:
-        problem = "onnxruntime is missing: pip install 'jaxmocap[onnx]'"
-        raise InputError(path, problem) from None
+        raise InputError(path, "onnxruntime is missing: pip install 'jaxmocap[onnx]'") from None
     if not path.is_file():
         raise InputError(path, "no such file")
     try:

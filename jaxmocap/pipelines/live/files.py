@@ -113,7 +113,7 @@ class LineFile:
             with as_output_error(path):
                 self._file.write(header.encode() + b"\n")
         except BaseException:
-            self.remove()
+            _close_and_remove(self._file)
             raise
         self._file.mark_complete()
 
@@ -157,10 +157,6 @@ class LineFile:
             self.flush()
         finally:
             self._file.close()
-
-    def remove(self) -> None:
-        """Close it and remove it."""
-        _close_and_remove(self._file)
 
 
 class GrowingVideo:

@@ -89,8 +89,7 @@ class LiveTracking:
             ValueError: something was chosen that has no part in it, see ``unused_setting``.
         """
         cameras = [v.camera for v in setup.videos] if settings.refine != "none" else []
-        places = bone_points(setup.skeleton, setup.places)
-        sites = marker_sites(setup.skeleton, places)
+        sites = marker_sites(setup.skeleton, bone_points(setup.skeleton, setup.places))
         self._cameras, self.needs_colour = len(cameras), smooth and bool(cameras)
         if problem := unused_setting(settings, self.needs_colour, causal=True):
             raise ValueError(problem)
@@ -214,8 +213,7 @@ class LiveTracking:
         """The poses that still wait."""
         if self._smoother is None:
             return []
-        outputs = self._release(np.inf)
-        return [*outputs, *self._outputs_of(self._smoother.flush())]
+        return [*self._release(np.inf), *self._outputs_of(self._smoother.flush())]
 
     def _with_gaps_filled(self, sample: MarkerSample) -> np.ndarray:
         """A sample's positions, those of missing markers extrapolated."""

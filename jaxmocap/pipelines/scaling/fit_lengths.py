@@ -65,8 +65,7 @@ def scale_by_recording(
     tall = skeleton_stature(stated) if height is None else height
     report = LengthsReport.of(stated, person, tall, fit, Path(out))
     write_subject(out, person, tall, report.lines())
-    title = f"Lengths from {Path(path).name}"
-    plot_intervals(report.picture, report.intervals(), VERDICTS, title)
+    plot_intervals(report.picture, report.intervals(), VERDICTS, f"Lengths from {Path(path).name}")
     return report
 
 

@@ -97,7 +97,6 @@ def _by_markers(recording: Recording, body: Skeleton) -> Pose:
     count = np.isfinite(recording.positions_world).all(-1).sum(1)
     first = recording.positions_world[int(np.argmax(count))]
     skeleton = recording.skeleton
-    sites = marker_sites(skeleton, recording.places)
-    tracker = HybridTracker(skeleton, None, Hybrid(), sites)
+    tracker = HybridTracker(skeleton, None, Hybrid(), marker_sites(skeleton, recording.places))
     points = landmark_points(tracker.model.skeleton, tracker.init(first).pose)
     return pose_at_landmarks(body, np.asarray(points))

@@ -112,8 +112,7 @@ def model_from(
             file, picture = f"{name}{REFUSED}.png", error.picture
             with OutputFolder(out, "refused photograph", [file]).writing() as stage:
                 write_picture(stage / file, picture)
-            problem = f"{error.problem} (see {Path(out) / file})"
-            raise InputError(files[name], problem) from None
+            raise InputError(files[name], f"{error.problem} (see {Path(out) / file})") from None
     try:
         model = person_model(views, bottom, READINGS[reading])
     except StanceError as error:

@@ -140,8 +140,7 @@ def _along(
     parts: Any = None
     for step in range(max(map(len, lanes))):
         now = np.array([lane[min(step, len(lane) - 1)] for lane in lanes])
-        fit = FIT_POSES(model, poses, markers[now], _tails(model, TAILS))
-        poses = fit.poses
+        poses = FIT_POSES(model, poses, markers[now], _tails(model, TAILS)).poses
         found = jax.tree.map(np.asarray, poses)
         if parts is None:
             parts = jax.tree.map(lambda part: np.zeros((count, *part.shape[1:]), part.dtype), found)

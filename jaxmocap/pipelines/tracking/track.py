@@ -187,8 +187,7 @@ def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
     """
     videos, warnings = open_footage(recording.require_markers())
     if recording.path is not None and recording.videos:
-        measured = measured_bones(recording.path)
-        stretched = check_stretched_arms(recording, measured)
+        stretched = check_stretched_arms(recording, measured_bones(recording.path))
         warnings += tuple(f"{recording.path}: {finding.sentence}" for finding in stretched)
     recording, cleaning = filter_markers(recording, causal=mode == "causal")
     warnings += cleaning.warnings
@@ -279,8 +278,7 @@ def _lines(
     marked = marked_landmarks(recording, names, timeline.event_times)
     # Markers identify a person better than a pose, where they sit on enough of the landmarks.
     enough = np.isfinite(marked).all(-1).sum(1) >= 2
-    posed = points_world[:, landmark_rows(names)]
-    expected = np.where(enough[:, None, None], marked, posed)
+    expected = np.where(enough[:, None, None], marked, points_world[:, landmark_rows(names)])
     expected[frames < 0] = np.nan
     at_events = replace(
         keypoints,
