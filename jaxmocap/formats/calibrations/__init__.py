@@ -1,4 +1,4 @@
-"""Camera calibrations of other systems: each format in a file of its own.
+"""Camera calibrations of other systems: each layout in a file of its own.
 
 Begin with ``registry``.
 """

@@ -12,16 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.formats.calibrations import (
-    caliscope,
-    easymocap,
-    freemocap,
-    motive,
-    opencap,
-    qualisys,
-    shared_layout,
-    vicon,
-)
+from jaxmocap.formats.calibrations import easymocap, motive, opencap, qualisys, shared_layout, vicon
 from jaxmocap.formats.calibrations.source import Source, SourceCalibration, open_source
 from jaxmocap.formats.cameras.calibration import (
     METADATA_SECTION,
@@ -58,8 +49,8 @@ SYSTEMS: dict[str, Callable[[Source], SourceCalibration | None]] = {
     "Motive (.mcal)": motive.read,
     "OpenCap (.pickle)": opencap.read,
     "EasyMocap (intri.yml)": easymocap.read,
-    "Caliscope (.toml)": caliscope.read,
-    "FreeMoCap (.toml)": freemocap.read,
+    "Caliscope (.toml)": shared_layout.read_caliscope,
+    "FreeMoCap (.toml)": shared_layout.read_freemocap,
     "anipose or Pose2Sim (.toml), OpenCV (.yml)": shared_layout.read,
 }
 
