@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from jaxmocap.cli.option_types import names
+from jaxmocap.cli.command import names
 from jaxmocap.formats.files.errors import InputError
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import Any
 
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.calibration.static_trial import measured_bones
+from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.cameras import MarkerVisibility, check_recording, marker_visibility
-from jaxmocap.capture.checks.finding import Finding
 from jaxmocap.capture.checks.lengths import bone_list, check_stretched_arms
 from jaxmocap.capture.footage import open_unchecked
 from jaxmocap.capture.keypoints import open_keypoints

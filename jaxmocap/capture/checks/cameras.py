@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.body_reach import standing_points
-from jaxmocap.capture.checks.finding import Finding
 from jaxmocap.capture.checks.markers import check_markers
 from jaxmocap.capture.checks.sides import facing_of_pairs
 from jaxmocap.capture.markers import median_interval

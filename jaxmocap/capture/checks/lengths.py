@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.model import marker_sites
+from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.body_reach import bones_between, max_marker_distances, standing_points
-from jaxmocap.capture.checks.finding import Finding
 from jaxmocap.formats.marker_sets.marked_joints import determine_body
 from jaxmocap.formats.recordings.recording import Recording
 

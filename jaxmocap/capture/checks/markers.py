@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxmocap.body.subject import skeleton_stature
+from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.body_reach import max_marker_distances, standing_points
-from jaxmocap.capture.checks.finding import Finding
 from jaxmocap.capture.checks.lengths import check_lengths
 from jaxmocap.capture.checks.sides import check_heights, check_sides
 from jaxmocap.capture.markers import median_interval

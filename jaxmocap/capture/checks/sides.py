@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.body_reach import standing_points
-from jaxmocap.capture.checks.finding import Finding
 from jaxmocap.formats.recordings.recording import Recording
 
 # Hands this far before (or behind) the head show where the front is, metres,

@@ -5,7 +5,7 @@ INPUTS: a command's parser. OUTPUTS: the parser with its options.
 
 import argparse
 
-from jaxmocap.cli.option_types import charuco_markers, inner_corners, positive_number
+from jaxmocap.cli.command import charuco_markers, inner_corners, positive_number
 
 BOARD_TEXT = """\
 Of a board its inner corners are counted, where four squares meet: a board of 5 x 8 squares is

@@ -7,8 +7,7 @@ file.
 import argparse
 
 from jaxmocap.cli.calibrate.board_options import BOARD_TEXT, add_board
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import numbers
+from jaxmocap.cli.command import Command, numbers
 from jaxmocap.cli.reporting import report
 
 POSE_TEXT = """\

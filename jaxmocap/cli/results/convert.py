@@ -7,8 +7,7 @@ cannot hold.
 import argparse
 from pathlib import Path
 
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import add_up, picture_size, positive_number
+from jaxmocap.cli.command import Command, add_up, picture_size, positive_number
 from jaxmocap.cli.reporting import report
 
 FORMATS_TEXT = """\

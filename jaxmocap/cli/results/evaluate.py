@@ -5,8 +5,7 @@ INPUTS: a folder that ``track`` wrote, a reference's file. OUTPUTS: errors of ea
 
 import argparse
 
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import finite_number, pair
+from jaxmocap.cli.command import Command, finite_number, pair
 from jaxmocap.cli.reporting import report
 
 

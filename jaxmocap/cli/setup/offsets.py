@@ -6,8 +6,7 @@ INPUTS: a recording of devices that are turned about resting joints. OUTPUTS: li
 
 import argparse
 
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import numbers
+from jaxmocap.cli.command import Command, numbers
 from jaxmocap.cli.reporting import report
 
 TURNING_TEXT = """\

@@ -6,8 +6,7 @@ INPUTS: a height, a static trial or a recording. OUTPUTS: subject.toml; its leng
 import argparse
 from pathlib import Path
 
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import pair, positive_number
+from jaxmocap.cli.command import Command, pair, positive_number
 from jaxmocap.cli.reporting import files_read, report
 from jaxmocap.formats.files.errors import InputError
 

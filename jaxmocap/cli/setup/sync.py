@@ -6,8 +6,7 @@ The recording's file is not changed.
 
 import argparse
 
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import positive_number
+from jaxmocap.cli.command import Command, positive_number
 from jaxmocap.cli.recording_options import add_cameras, recording_of
 from jaxmocap.cli.reporting import exit_code, report
 

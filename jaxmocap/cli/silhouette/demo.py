@@ -6,8 +6,7 @@ files, errors against the truth.
 
 import argparse
 
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import positive_number, whole_number
+from jaxmocap.cli.command import Command, positive_number, whole_number
 from jaxmocap.cli.reporting import report
 
 # The names of ``synthetic.movements.exercises.EXERCISES``; --help does not load that.

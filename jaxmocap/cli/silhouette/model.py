@@ -6,8 +6,7 @@ every step.
 
 import argparse
 
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import positive_number, whole_number
+from jaxmocap.cli.command import Command, positive_number, whole_number
 from jaxmocap.cli.reporting import report
 
 

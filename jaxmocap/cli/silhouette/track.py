@@ -10,8 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import numbers, whole_number
+from jaxmocap.cli.command import Command, numbers, whole_number
 from jaxmocap.cli.recording_options import add_cameras, recording_of
 from jaxmocap.cli.reporting import report
 

@@ -6,8 +6,7 @@ failed. What an earlier run has tracked is kept.
 
 import argparse
 
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import positive_number, positive_whole_number
+from jaxmocap.cli.command import Command, positive_number, positive_whole_number
 from jaxmocap.cli.recording_options import add_settings, settings_of
 from jaxmocap.cli.reporting import exit_code, report
 

@@ -5,8 +5,7 @@ INPUTS: a folder, a duration, a seed. OUTPUTS: the recording, its tracked files,
 
 import argparse
 
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import positive_number, whole_number
+from jaxmocap.cli.command import Command, positive_number, whole_number
 from jaxmocap.cli.reporting import report
 
 

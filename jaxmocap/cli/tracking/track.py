@@ -6,8 +6,7 @@ exit code 1 where the body is far off its markers.
 
 import argparse
 
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.option_types import add_up, positive_number
+from jaxmocap.cli.command import Command, add_up, positive_number
 from jaxmocap.cli.recording_options import add_cameras, add_settings, recording_of, settings_of
 from jaxmocap.cli.reporting import exit_code, report
 
