@@ -89,11 +89,7 @@ def _keypoints(fields: TomlTable) -> dict[str, Any]:
         is_file = fields.text("keypoints").lower().endswith(".json")
         stated["keypoints"] = fields.file("keypoints", folder=not is_file)
     if "keypoints_model" in fields:
-        stated["keypoints_model"] = model = fields.text("keypoints_model")
-        if model not in MODELS:
-            expected = ", ".join(MODELS)
-            problem = f"found {short_repr(model)}, expected one of {expected}"
-            raise fields.error("keypoints_model", problem)
+        stated["keypoints_model"] = fields.choice("keypoints_model", MODELS)
     if "keypoints_first" in fields:
         limit = LARGEST_FRAME_NUMBER
         stated["keypoints_first"] = fields.integer("keypoints_first", -limit, limit)

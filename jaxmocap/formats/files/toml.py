@@ -119,6 +119,14 @@ class TomlTable:
             raise self.error(key, f"found {short_repr(value)}, expected text in quotes")
         return value
 
+    def choice(self, key: str, options: Collection[str], expected: str = "") -> str:
+        """A required text that is one of these; ``expected`` is how messages list them."""
+        value = self.text(key)
+        if value not in options:
+            expected = expected or f"one of {', '.join(options)}"
+            raise self.error(key, f"found {short_repr(value)}, expected {expected}")
+        return value
+
     def file_name(self, key: str) -> str:
         """A required text that files may be named after: it leads into no other folder."""
         name = self.text(key)

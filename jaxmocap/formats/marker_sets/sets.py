@@ -107,10 +107,7 @@ def read_set(fields: TomlTable, labels: Sequence[str], skeleton: Skeleton) -> Ma
             if key in fields:
                 raise fields.error(key, "needs 'set', the set of markers that it is about")
         return None
-    name = fields.text("set")
-    if name not in set_names():
-        expected = ", ".join(set_names())
-        raise fields.error("set", f"found {short_repr(name)}, expected one of {expected}")
+    name = fields.choice("set", set_names())
     markers, unused = set_file(name)
     skipped = _skipped(fields, (*markers, *unused))
     by_marker = _labels_by_marker(fields, labels, {*markers, *unused})

@@ -74,10 +74,7 @@ def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
         offset = fields.array("offset", [(3,)], "3 numbers in metres", FARTHEST_OFFSET_M)
         stated["offset"] = tuple(offset.tolist())
     if "offset_in" in fields:
-        stated["offset_in"] = axes = fields.text("offset_in")
-        if axes not in ("bone", "marker"):
-            problem = f"found {short_repr(axes)}, expected 'bone' or 'marker'"
-            raise fields.error("offset_in", problem)
+        stated["offset_in"] = fields.choice("offset_in", ("bone", "marker"), "'bone' or 'marker'")
     if fields.entries.get("turn", False) is not False:
         quaternion = fields.array("turn", [(4,)], "a quaternion w, x, y, z, or false")
         norm = float(np.linalg.norm(quaternion))

@@ -86,20 +86,16 @@ def _check_driver(row: TomlTable, tree: Tree, sided: bool) -> Driver:
     if not (isinstance(names, list) and len(names) in (1, 2) and set(map(type, names)) == {str}):
         raise row.error("steered_by", f"found {short_repr(names)}, expected one or two joints")
     _check_joints(row, tree, names, sided)
-    weighting = row.text("weighting") if "weighting" in row else "linear"
-    if weighting not in WEIGHTINGS:
-        expected = f"expected of {comma_list(WEIGHTINGS)}"
-        raise row.error("weighting", f"found {short_repr(weighting)}, {expected}")
+    weighting = "linear"
+    if "weighting" in row:
+        weighting = row.choice("weighting", WEIGHTINGS, f"of {comma_list(WEIGHTINGS)}")
     return Driver(tuple(names), weighting)
 
 
 def _check_swelling(row: TomlTable, patches: tuple[str, ...]) -> None:
     """InputError unless it is a place of the surface."""
     limbs = tuple(dict.fromkeys(name.removesuffix("_l").removesuffix("_r") for name in patches))
-    patch = row.text("patch")
-    if patch not in limbs:
-        expected = f"expected of {comma_list(limbs)}"
-        raise row.error("patch", f"found {short_repr(patch)}, {expected}")
+    row.choice("patch", limbs, f"of {comma_list(limbs)}")
     row.number("gain", None, -LARGEST_GAIN["swelling"], LARGEST_GAIN["swelling"])
     row.array("centre", [(2,)], "degrees around and share of the way along", 360.0)
     radii = row.array("radii", [(2,)], "degrees around and share of the way along", 360.0)

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from jaxmocap.formats.cameras.calibration import is_orthonormal
-from jaxmocap.formats.files.short_repr import short_repr
 from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.formats.time_series.tables import Markers
 
@@ -28,9 +27,7 @@ def read_axes(fields: TomlTable) -> np.ndarray:
             at right angles. A reflection is allowed: some files are left-handed.
     """
     if "to_world" not in fields:
-        up = fields.text("up") if "up" in fields else "z"
-        if up not in R_WORLD_OF_UP:
-            raise fields.error("up", f"found {short_repr(up)}, expected 'z' or 'y'")
+        up = fields.choice("up", R_WORLD_OF_UP, "'z' or 'y'") if "up" in fields else Z_UP
         return R_WORLD_OF_UP[up]
     if "up" in fields:
         raise fields.error("", "found both 'up' and 'to_world', expected one of them")
