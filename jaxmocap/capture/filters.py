@@ -12,7 +12,6 @@ import numpy as np
 
 from jaxmocap.capture.markers import GAP_INTERVALS, median_interval
 from jaxmocap.capture.one_euro import OneEuro
-from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.filters import Filters
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.tables import is_even
@@ -249,10 +248,9 @@ def check_cutoff(recording: Recording, cutoff: float, name: str) -> None:
     interval = median_interval(recording.times)
     highest = TWO_PASS_CUTOFF_RATIO / (2 * interval) if interval else 0.0
     if cutoff >= highest:
-        raise InputError(
-            recording.path or recording.name,
+        raise recording.error(
             f"{name}: found {cutoff:g} Hz, expected less than "
-            f"{highest:.3g} Hz for {1 / interval if interval else 0:.3g} samples per second",
+            f"{highest:.3g} Hz for {1 / interval if interval else 0:.3g} samples per second"
         )
 
 

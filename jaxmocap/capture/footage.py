@@ -13,7 +13,6 @@ import numpy as np
 from jaxmocap.capture.checks.cameras import check_recording
 from jaxmocap.capture.timeline import check_overlap
 from jaxmocap.capture.video import FrameSource, TimedImage, check_video_size, open_video
-from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.foreground import shrink, shrunk_size
 
@@ -29,7 +28,7 @@ def open_footage(recording: Recording) -> tuple[list[FrameSource], tuple[str, ..
     where = recording.path or recording.name
     findings = check_recording(recording, [video.times for video in videos])
     if findings and findings[0].fatal:
-        raise InputError(where, findings[0].sentence)
+        raise recording.error(findings[0].sentence)
     return videos, (*warnings, *(f"{where}: {finding.sentence}" for finding in findings))
 
 

@@ -93,7 +93,7 @@ def with_height(recording: Recording, height: float) -> Recording:
     try:
         return replace(recording, skeleton=Skeleton.human(height))
     except ValueError as error:
-        raise InputError(recording.path or recording.name, str(error)) from None
+        raise recording.error(str(error)) from None
 
 
 def select_cameras(recording: Recording, camera_names: Sequence[str]) -> Recording:
@@ -106,6 +106,6 @@ def select_cameras(recording: Recording, camera_names: Sequence[str]) -> Recordi
     for name in camera_names:
         if name not in existing:
             problem = f"no [[video]] of camera {name!r}, found {', '.join(existing) or 'no video'}"
-            raise InputError(recording.path or recording.name, problem)
+            raise recording.error(problem)
     chosen = tuple(source for source in recording.videos if source.camera_name in camera_names)
     return replace(recording, videos=chosen)

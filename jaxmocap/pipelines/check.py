@@ -16,7 +16,6 @@ from jaxmocap.capture.footage import open_unchecked
 from jaxmocap.capture.keypoints import open_keypoints
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.capture.photographs import read_empty_room
-from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 
 # Frames of a video that are decoded, from its first: 100 s at 30 Hz.
@@ -100,8 +99,7 @@ class RecordingCheck:
     def raise_if_fatal(self) -> None:
         """InputError with the first finding, if it is fatal."""
         if self.findings and self.findings[0].fatal:
-            where = self.recording.path or self.recording.name
-            raise InputError(where, self.findings[0].sentence)
+            raise self.recording.error(self.findings[0].sentence)
 
 
 def check(recording: Recording) -> RecordingCheck:

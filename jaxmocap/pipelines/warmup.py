@@ -17,7 +17,6 @@ import numpy as np
 
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.timeline import Mode
-from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import read_toml
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.settings import Settings
@@ -131,8 +130,7 @@ def first_half_second(recording: Recording) -> Recording:
     begin = max([recording.times[is_visible.argmax()], *starts])
     chosen = (recording.times >= begin) & (recording.times < begin + TRACKED_S)
     if not (chosen & is_visible).any():
-        name = recording.path or recording.name
-        raise InputError(name, "no marker was measured beside the video")
+        raise recording.error("no marker was measured beside the video")
     return replace(
         recording, times=recording.times[chosen], positions_world=recording.positions_world[chosen]
     )

@@ -105,10 +105,12 @@ class Recording:
             InputError: it has none.
         """
         if not self.places:
-            raise InputError(
-                self.path or self.name, "[markers] is missing, which is needed to follow markers"
-            )
+            raise self.error("[markers] is missing, which is needed to follow markers")
         return self
+
+    def error(self, problem: str) -> InputError:
+        """The error to raise about the recording: its file, or its name where there is none."""
+        return InputError(self.path or self.name, problem)
 
     @classmethod
     def load(cls, path: str | Path) -> "Recording":

@@ -86,7 +86,7 @@ def detect_keypoints(
         InputError: no videos, or a detector that does not work.
     """
     if not recording.videos:
-        raise InputError(recording.path or recording.name, "found no [[video]], expected one")
+        raise recording.error("found no [[video]], expected one")
     cameras = [source.camera_name for source in recording.videos]
     # Runs over other cameras leave one another's files alone.
     kind = f"keypoints of {', '.join(sorted(cameras))}"

@@ -20,7 +20,6 @@ from jaxmocap.compilation.clock import Clock
 from jaxmocap.evaluation.interval_plot import plot_intervals
 from jaxmocap.evidence.appearance.learned import ROWS
 from jaxmocap.fitting.lengths import LengthsFit, fit_lengths
-from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.recordings.subject import write_subject
 from jaxmocap.pipelines.progress import Progress, progress_bar
@@ -87,7 +86,7 @@ def fit_recording(recording: Recording, progress: Progress | bool | None = None)
             lambda share: show(round(36 + 54 * share), 100),
         )
         if solved is None:
-            raise InputError(_name(recording), "no video frame lies within the markers' time")
+            raise recording.error("no video frame lies within the markers' time")
         fit = fit_lengths(*solved, FINELY)
         show(100, 100)
     return fit
@@ -104,7 +103,7 @@ def _of_person(recording: Recording, height: float | None, mass: float | None) -
         elif mass is not None:
             skeleton = scale_to_height(skeleton, None, mass)
     except ValueError as error:
-        raise InputError(_name(recording), str(error)) from None
+        raise recording.error(str(error)) from None
     return replace(recording, skeleton=skeleton)
 
 
@@ -114,10 +113,9 @@ def _check_recording(recording: Recording) -> None:
     Raises:
         InputError: it cannot; the message says what it lacks.
     """
-    where = _name(recording)
     if not recording.videos:
         problem = "no [[video]]: three markers alone do not determine bone lengths, film the"
-        raise InputError(where, f"{problem} movement as well")
+        raise recording.error(f"{problem} movement as well")
     head, *hands = (
         [i for i, place in enumerate(recording.places) if place.bone in bones]
         for bones in (("head", "neck"), ("radius_l", "hand_l"), ("radius_r", "hand_r"))
@@ -125,14 +123,14 @@ def _check_recording(recording: Recording) -> None:
     if not head or not all(hands):
         markers = ", ".join(f"{p.name} on {p.bone}" for p in recording.places) or "no marker"
         problem = f"[markers.on]: found {markers}, expected markers at the head and at both hands"
-        raise InputError(where, problem)
+        raise recording.error(problem)
     seconds = float(np.ptp(recording.times))
     if seconds < LEAST_SECONDS:
-        raise InputError(where, f"{seconds:.2f} s of markers are too few, {ADVICE}")
+        raise recording.error(f"{seconds:.2f} s of markers are too few, {ADVICE}")
     moved = max(_movement(recording.positions_world, head[0], hand[0]) for hand in hands)
     if moved < LEAST_MOVEMENT_M:
         problem = f"the hands keep within {100 * moved:.0f} cm (RMS) of one place before the head"
-        raise InputError(where, f"{problem}, too little to determine lengths: {ADVICE}")
+        raise recording.error(f"{problem}, too little to determine lengths: {ADVICE}")
 
 
 def _movement(positions_world: np.ndarray, head: int, hand: int) -> float:
@@ -142,7 +140,3 @@ def _movement(positions_world: np.ndarray, head: int, hand: int) -> float:
     if not len(relative):
         return 0.0
     return float(np.sqrt(np.mean(np.sum((relative - relative.mean(0)) ** 2, -1))))
-
-
-def _name(recording: Recording) -> str | Path:
-    return recording.path or recording.name

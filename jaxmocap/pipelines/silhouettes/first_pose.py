@@ -62,21 +62,20 @@ def start_pose(
     Raises:
         InputError: neither a place nor markers, or a place at which no camera looks.
     """
-    where = recording.path or recording.name
     skeleton = with_joints(recording.skeleton, body)
     if at is not None:
         x, y, _ = np.array([*at[:2], 0.0]) - recording.origin_world
         pose = standing_pose_at(skeleton, x, y, np.radians(at[2]))
     elif not recording.places:
         problem = "no [markers] to begin from, expected --at X,Y,FACING of a person who stands"
-        raise InputError(where, f"{problem} upright")
+        raise recording.error(f"{problem} upright")
     else:
         pose = _by_markers(recording, skeleton)
     if recording.videos and not in_view(recording, skeleton, pose):
         x, y, _ = np.asarray(pose.position) + recording.origin_world
         names = ", ".join(source.camera_name for source in recording.videos)
         problem = f"the person begins at x = {x:.2f}, y = {y:.2f} m, where no camera looks"
-        raise InputError(where, f"{problem}, expected a place that one of {names} sees")
+        raise recording.error(f"{problem}, expected a place that one of {names} sees")
     return pose
 
 

@@ -23,7 +23,6 @@ from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.photographs import read_empty_room
 from jaxmocap.capture.timeline import bundle_frames
 from jaxmocap.capture.video import FrameSource, check_video_size, open_video
-from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.background_model import Background
 from jaxmocap.outputs.report import plain
@@ -105,7 +104,7 @@ def make_silhouette_tracker(
         InputError: it has no video, or not the markers.
     """
     if not recording.videos:
-        raise InputError(recording.path or recording.name, "no [[video]]: expected one or several")
+        raise recording.error("no [[video]]: expected one or several")
     cameras = [source.camera for source in recording.videos]
     settings = settings or Settings()
     skeleton = with_joints(recording.skeleton, settings.body)
@@ -163,9 +162,8 @@ def track_silhouettes(
             backgrounds, show,
         )  # fmt: skip
     if not result.is_anybody_visible:
-        where = recording.path or recording.name
         expected = "expected somebody where the markers' first samples, or --at, put the person"
-        raise InputError(where, f"no camera shows the person in any frame, {expected}")
+        raise recording.error(f"no camera shows the person in any frame, {expected}")
     # Landmarks that the body does not move.
     still = ~determined_landmarks(tracker.body.model.skeleton.tree)
     listed = ", ".join(LANDMARKS[i] for i in np.flatnonzero(still))
