@@ -1,6 +1,7 @@
 """What all tests share: strict promotion, double precision, bodies, poses, real recordings."""
 
 import os
+import time
 from importlib.metadata import version
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from hypothesis.extra.numpy import arrays
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines.kept_programs import keep_compiled
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -42,6 +44,8 @@ FLOAT32_TOLERANCES = {
     "rays": 1e-6,
 }
 LIMITS = np.asarray(Skeleton.human().limits)
+# Nothing that is refused takes longer than a second or two on an idle machine.
+HANG_S = 60
 RECORDINGS = Path(__file__).parents[2] / "shared" / "recordings"
 
 
@@ -64,6 +68,24 @@ def programs_let_go():
         kib = next(line.split()[1] for line in status.read_text().splitlines() if "VmRSS" in line)
         if int(kib) / 2**20 > MOST_RESIDENT_GIB:
             jax.clear_caches()
+
+
+def complaint(read, *arguments, **options) -> str:
+    """What input is refused with, and soon: one sentence that any terminal shows."""
+    begun = time.monotonic()
+    with pytest.raises(InputError) as caught:
+        read(*arguments, **options)
+    assert time.monotonic() - begun < HANG_S
+    text = str(caught.value)
+    assert text.isprintable() and len(text) <= 500
+    return text
+
+
+def problem_of(read, path: Path) -> str:
+    """What a file is refused with, behind its name."""
+    text = complaint(read, path)
+    assert text.startswith(f"{path}: ")
+    return text.removeprefix(f"{path}: ")
 
 
 def vectors(n: int, largest: float = 1.0):

@@ -6,11 +6,12 @@ import struct
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import problem_of
 from moving_body import SAMPLES, moving_body
 
 from jaxmocap.formats.files.arrays import INTEGERS, NAMES, ArraySpec, NpzArrays
@@ -18,6 +19,8 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import load_motion, save_motion
 from jaxmocap.synthetic.four_cameras import read_masks
 from jaxmocap.synthetic.people.rigged_mesh import JOINTS, load_rig
+
+complaint = partial(problem_of, load_motion)
 
 # Generous: what hangs would never end, what bombs takes thousands.
 LONGEST_S, MOST_MB = 60, 1500
@@ -30,14 +33,6 @@ def motion(tmp_path_factory) -> dict[str, np.ndarray]:
     save_motion(path, moving_body())
     with np.load(path) as data:
         return dict(data)
-
-
-def complaint(path: Path, read: Callable = load_motion) -> str:
-    with pytest.raises(InputError) as caught:
-        read(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ") and message.isprintable() and len(message) <= 500
-    return caught.value.problem
 
 
 def changed(folder: Path, arrays: dict[str, np.ndarray], **change) -> Path:
@@ -141,7 +136,7 @@ def test_values_of_another_type_are_refused(tmp_path, descr):
 def test_names_must_print_and_be_short(tmp_path):
     def message(*names: str) -> str:
         path = changed(tmp_path, {"x": np.array(names)})
-        return complaint(path, lambda path: NpzArrays(path).read({"x": ArraySpec(("N",), NAMES)}))
+        return problem_of(lambda at: NpzArrays(at).read({"x": ArraySpec(("N",), NAMES)}), path)
 
     assert message("a", "\x1b[31mred") == r"x: found '\x1b[31mred', expected a name that prints"
     assert "expected a name that prints" in message("a", "")
@@ -332,11 +327,11 @@ def test_the_first_person_of_a_file_will_do_where_nobody_is_called_man(tmp_path)
     ],
 )
 def test_people_who_contradict_themselves_are_refused(tmp_path, change, message):
-    assert message in complaint(changed(tmp_path, rigged(**change)), load_rig)
+    assert message in problem_of(load_rig, changed(tmp_path, rigged(**change)))
 
 
 def test_masks_of_another_size_are_refused(tmp_path):
     path = changed(tmp_path, {"cam_1": np.zeros((3, 48, 8), np.uint8)})
     assert read_masks(path, (64, 48))["cam_1"].shape == (3, 48, 64)
-    message = complaint(path, read_masks)
+    message = problem_of(read_masks, path)
     assert message == "cam_1: found shape (3, 48, 8), expected (F, 480, 80)"

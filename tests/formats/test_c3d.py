@@ -4,11 +4,13 @@ import os
 import struct
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import ezc3d
 import numpy as np
 import pytest
+from conftest import problem_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -23,6 +25,8 @@ from jaxmocap.formats.time_series.tables import Markers
 shared_folder = settings(
     deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
+
+complaint = partial(problem_of, read_c3d)
 
 
 @st.composite
@@ -52,13 +56,6 @@ def foreign(path: Path, points: np.ndarray, unit: str | None = "mm", labels=None
     file["data"]["points"] = points
     file.write(str(path))
     return path
-
-
-def complaint(path: Path) -> str:
-    with pytest.raises(InputError) as caught:
-        read_c3d(path)
-    assert str(caught.value).startswith(f"{path}: ")
-    return caught.value.problem
 
 
 @shared_folder

@@ -5,6 +5,7 @@ import tomllib
 import cv2
 import numpy as np
 import pytest
+from conftest import complaint
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -41,12 +42,6 @@ rectification_matrix:
   cols: 3
   data: [1, 0, 0, 0, 1, 0, 0, 0, 1]
 """
-
-
-def complaint(function, *arguments) -> str:
-    with pytest.raises(InputError) as error:
-        function(*arguments)
-    return str(error.value)
 
 
 def written(tmp_path, text: str, name: str = "c.yml"):

@@ -2,6 +2,7 @@
 
 import pickle
 import tomllib
+from functools import partial
 
 import cv2
 import numpy as np
@@ -25,12 +26,14 @@ from calibrations_of_others import (
     qualisys,
     vicon,
 )
+from conftest import complaint
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.cli.program import main, make_parser
 from jaxmocap.formats.calibrations.registry import R_WORLD_OF_SOURCE_UP, convert_calibration
 from jaxmocap.formats.cameras.calibration import read_calibration
-from jaxmocap.formats.files.errors import InputError
+
+refused = partial(complaint, convert_calibration)
 
 CAMERAS = {f"cam_{i}": place(i) for i in range(1, 4)}
 # Pixels; of a Vicon lens the fit's own residual comes on top.
@@ -74,12 +77,6 @@ def farthest(path, project, cameras=CAMERAS) -> float:
         for name, camera in cameras.items()
         for points in [points_before(camera, 7)]
     )
-
-
-def complaint(*arguments, **options) -> str:
-    with pytest.raises(InputError) as error:
-        convert_calibration(*arguments, **options)
-    return str(error.value)
 
 
 @pytest.mark.parametrize("writer", WRITERS, ids=lambda writer: writer.__name__)
@@ -128,7 +125,7 @@ def test_a_lens_that_opencv_cannot_describe_is_refused(tmp_path, radial):
     start, end = text.index("VICON_RADIAL2="), text.index("WORLD_ERROR")
     source.write_text(f'{text[:start]}VICON_RADIAL="{radial}" {text[end:]}')
     target = tmp_path / "ours.toml"
-    assert "VICON_RADIAL" in complaint(source, target)
+    assert "VICON_RADIAL" in refused(source, target)
     assert not target.exists()
 
 
@@ -166,7 +163,7 @@ def test_axes_and_unit_are_as_the_user_states(tmp_path):
     turned = {name: camera.in_world(R_Y_UP, 1000) for name, camera in CAMERAS.items()}
     source, project = anipose(tmp_path, turned)
     target = tmp_path / "ours.toml"
-    assert "--unit" in complaint(source, target)
+    assert "--unit" in refused(source, target)
     convert_calibration(source, target, unit="mm", up="y")
     # The cameras stand where they stood.
     assert farthest(target, project) < CLOSE
@@ -268,9 +265,9 @@ def test_a_pickle_by_an_older_numpy_is_read(tmp_path):
 def test_pictures_size_is_asked_for_once_and_only_where_it_is_missing(tmp_path):
     without, _ = easymocap(tmp_path, CAMERAS)
     target = tmp_path / "ours.toml"
-    assert "--size" in complaint(without, target)
-    assert "--size does not apply" in complaint(motive(tmp_path, CAMERAS)[0], target, size=SIZE)
-    assert "--unit does not apply" in complaint(qualisys(tmp_path, CAMERAS)[0], target, unit="m")
+    assert "--size" in refused(without, target)
+    assert "--size does not apply" in refused(motive(tmp_path, CAMERAS)[0], target, size=SIZE)
+    assert "--unit does not apply" in refused(qualisys(tmp_path, CAMERAS)[0], target, unit="m")
     text = (tmp_path / "intri.yml").read_text()
     sides = "".join(f"H_{name}: 1080\nW_{name}: 1920\n" for name in CAMERAS)
     (tmp_path / "intri.yml").write_text(text + sides)
@@ -282,7 +279,7 @@ def test_a_folder_of_easymocap_needs_both_files(tmp_path):
     easymocap(tmp_path, CAMERAS)
     convert_calibration(tmp_path, tmp_path / "ours.toml", size=SIZE)
     (tmp_path / "extri.yml").unlink()
-    assert "extri.yml: no such file" in complaint(tmp_path, tmp_path / "ours.toml", size=SIZE)
+    assert "extri.yml: no such file" in refused(tmp_path, tmp_path / "ours.toml", size=SIZE)
 
 
 def test_the_command_says_what_it_read_and_wrote(tmp_path, capsys):

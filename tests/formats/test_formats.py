@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import problem_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -47,15 +48,6 @@ def written(folder: Path, text: str | bytes, name: str = "a.trc") -> Path:
     path = folder / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
-
-
-def complaint(read, path: Path) -> str:
-    """What is wrong with a file; every message starts with its path and is one line."""
-    with pytest.raises(InputError) as caught:
-        read(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ") and "\n" not in message
-    return message.removeprefix(f"{path}: ")
 
 
 @st.composite
@@ -113,7 +105,7 @@ def test_a_damaged_file_is_read_or_refused_but_never_crashes(tmp_path, format, d
 def test_a_trc_that_is_cut_off_before_its_last_line_is_refused(tmp_path, data):
     last_line = TRC.rstrip("\n").rindex("\n")
     cut = data.draw(st.integers(0, last_line))
-    complaint(read_trc, written(tmp_path, TRC[:cut]))
+    problem_of(read_trc, written(tmp_path, TRC[:cut]))
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("mm", 1e-3), ("cm", 1e-2), ("MM", 1e-3)])
@@ -174,7 +166,7 @@ def test_trc_variants_that_exporters_write_are_read_alike(tmp_path, variant):
     ],
 )
 def test_bad_trc_files_are_refused_with_the_line(tmp_path, text, says):
-    assert says in complaint(read_trc, written(tmp_path, text))
+    assert says in problem_of(read_trc, written(tmp_path, text))
 
 
 CSV = "time,Head.x,Head.y,Head.z,Hand.x,Hand.y,Hand.z\n0,1,2,3,4,5,6\n0.5,,,,4,5,6\n"
@@ -204,7 +196,7 @@ def test_csv_is_seconds_and_metres_with_empty_cells_where_missing(tmp_path):
     ],
 )
 def test_bad_csv_files_are_refused_with_the_line(tmp_path, text, says):
-    assert says in complaint(read_csv, written(tmp_path, text))
+    assert says in problem_of(read_csv, written(tmp_path, text))
 
 
 @pytest.mark.parametrize("name", ["a\tb", "", " a", "a\n"])
@@ -217,10 +209,10 @@ def test_names_that_trc_cannot_hold_are_not_written(tmp_path, name):
 def test_marker_files_are_told_by_their_suffix(tmp_path):
     assert read_markers(written(tmp_path, TRC, "a.TRC")).names == ("Head", "Hand")
     assert read_markers(written(tmp_path, CSV, "a.csv")).names == ("Head", "Hand")
-    assert "unknown suffix '.txt'" in complaint(read_markers, written(tmp_path, TRC, "a.txt"))
-    assert complaint(read_markers, tmp_path / "none.trc") == "no such file"
+    assert "unknown suffix '.txt'" in problem_of(read_markers, written(tmp_path, TRC, "a.txt"))
+    assert problem_of(read_markers, tmp_path / "none.trc") == "no such file"
     (tmp_path / "folder.trc").mkdir()
-    assert "found a folder" in complaint(read_markers, tmp_path / "folder.trc")
+    assert "found a folder" in problem_of(read_markers, tmp_path / "folder.trc")
 
 
 @pytest.mark.parametrize(("name", "frames", "markers"), [("markers", 60, 5), ("truth", 60, 21)])
@@ -310,7 +302,7 @@ def test_a_rotation_may_be_a_matrix(tmp_path):
 )
 def test_bad_calibrations_are_refused_with_the_field(tmp_path, changes, says):
     path = written(tmp_path, calibration_text(**changes), "c.toml")
-    assert says in complaint(read_calibration, path)
+    assert says in problem_of(read_calibration, path)
 
 
 @pytest.mark.parametrize(
@@ -323,14 +315,14 @@ def test_bad_calibrations_are_refused_with_the_field(tmp_path, changes, says):
     ],
 )
 def test_what_is_no_calibration_is_refused(tmp_path, text, says):
-    assert says in complaint(read_calibration, written(tmp_path, text, "c.toml"))
+    assert says in problem_of(read_calibration, written(tmp_path, text, "c.toml"))
 
 
 def test_a_missing_section_lists_those_that_are_there(tmp_path):
     path = written(tmp_path, calibration_text(), "c.toml")
     cameras = read_calibration(path)
     assert pick_camera(path, cameras, "cam") is cameras["cam"]
-    says = complaint(lambda p: pick_camera(p, cameras, "cam_2"), path)
+    says = problem_of(lambda p: pick_camera(p, cameras, "cam_2"), path)
     assert says == "section [cam_2] is missing, found cam"
 
 
@@ -410,16 +402,16 @@ def test_a_motion_needs_no_report(tmp_path):
 
 
 def test_what_is_no_motion_is_refused(tmp_path):
-    assert complaint(load_motion, tmp_path / "none.npz") == "no such file"
-    assert "not an .npz file" in complaint(load_motion, written(tmp_path, "text", "a.npz"))
+    assert problem_of(load_motion, tmp_path / "none.npz") == "no such file"
+    assert "not an .npz file" in problem_of(load_motion, written(tmp_path, "text", "a.npz"))
     np.savez(tmp_path / "b.npz", times=np.arange(3))
-    assert "version: found none" in complaint(load_motion, tmp_path / "b.npz")
+    assert "version: found none" in problem_of(load_motion, tmp_path / "b.npz")
     np.savez(tmp_path / "c.npz", version=VERSION)
-    assert "is missing" in complaint(load_motion, tmp_path / "c.npz")
+    assert "is missing" in problem_of(load_motion, tmp_path / "c.npz")
     save_motion(tmp_path / "d.npz", some_motion(None))
     content = (tmp_path / "d.npz").read_bytes()
     path = written(tmp_path, content[: len(content) // 2], "d.npz")
-    assert "cut off" in complaint(load_motion, path)
+    assert "cut off" in problem_of(load_motion, path)
 
 
 def test_a_skeleton_keeps_its_tree_when_it_was_changed(tmp_path):

@@ -4,14 +4,17 @@ import json
 import struct
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import problem_of
 
 from jaxmocap.formats.animation.gltf_in import read_gltf
-from jaxmocap.formats.files.errors import InputError
+
+complaint = partial(problem_of, read_gltf)
 
 # Generous: what hangs would never end, what bombs takes thousands.
 LONGEST_S, MOST_MB = 60, 1500
@@ -64,14 +67,6 @@ def put(content: dict, place: str, value: Any) -> dict:
         part = part[step]
     part[last] = value
     return content
-
-
-def complaint(path: Path) -> str:
-    with pytest.raises(InputError) as caught:
-        read_gltf(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ") and message.isprintable() and len(message) <= 500
-    return caught.value.problem
 
 
 def test_the_document_that_is_changed_below_is_read(tmp_path):

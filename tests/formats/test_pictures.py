@@ -6,11 +6,12 @@ import subprocess
 import sys
 import zlib
 from contextlib import suppress
-from pathlib import Path
+from functools import partial
 
 import cv2
 import numpy as np
 import pytest
+from conftest import problem_of
 
 from jaxmocap.capture.photographs import (
     is_picture_file,
@@ -20,6 +21,8 @@ from jaxmocap.capture.photographs import (
 )
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.picture_size import picture_size
+
+complaint = partial(problem_of, read_picture)
 
 PICTURE = np.random.default_rng(0).integers(0, 255, (30, 50, 3), np.uint8)
 SUFFIXES = ("png", "jpg", "bmp", "tiff", "webp", "ppm", "gif")
@@ -43,13 +46,6 @@ def huge_png(side: int = 30_000) -> bytes:
     header = struct.pack(">IIBBBBB", side, side, 1, 0, 0, 0, 0)
     parts = chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
     return b"\x89PNG\r\n\x1a\n" + parts
-
-
-def complaint(path: Path) -> str:
-    with pytest.raises(InputError) as caught:
-        read_picture(path)
-    assert str(caught.value).startswith(f"{path}: ")
-    return caught.value.problem
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

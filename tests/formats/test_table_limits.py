@@ -1,9 +1,8 @@
 """Tables of numbers that no measurement makes: refused with their line, before memory is filled."""
 
-import time
-
 import numpy as np
 import pytest
+from conftest import problem_of
 
 from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.files.errors import InputError
@@ -13,7 +12,6 @@ from jaxmocap.formats.time_series.mot import read_mot
 from jaxmocap.formats.time_series.tables import parse_rows, row_texts
 from jaxmocap.formats.time_series.trc import write_trc
 
-HANG_S = 60
 TRC = (
     "PathFileType\t4\t(X/Y/Z)\ta.trc\nDataRate\tNumFrames\tNumMarkers\tUnits\n60\t2\t1\tm\n"
     "Frame#\tTime\tHead\t\t\n\t\tX1\tY1\tZ1\n\n1\t0\t1\t2\t3\n2\t0.5\t1\t2\t3\n"
@@ -48,11 +46,7 @@ def complaint(folder, suffix: str, text: str | bytes) -> str:
     """What reading a file of that text says."""
     path = folder / f"a{suffix}"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(InputError) as error:
-        (read_mot if suffix == ".mot" else read_markers)(path)
-    message = str(error.value)
-    assert message.startswith(str(path)) and message.isprintable() and len(message) <= 500
-    return message
+    return problem_of(read_mot if suffix == ".mot" else read_markers, path)
 
 
 @pytest.mark.parametrize("suffix", TEXTS)
@@ -134,9 +128,7 @@ def test_joints_too_deep_below_one_another_or_too_many_are_refused(tmp_path):
     ],
 )
 def test_files_that_are_no_table_are_refused_in_seconds(tmp_path, text, says):
-    begun = time.monotonic()
     assert says in complaint(tmp_path, ".trc", text)
-    assert time.monotonic() - begun < HANG_S
 
 
 def test_lines_are_the_same_whatever_ends_them_and_wherever_blocks_end(tmp_path):

@@ -4,6 +4,7 @@ import os
 import time
 
 import pytest
+from conftest import HANG_S, complaint
 from small_recording import write_small_recording
 
 from jaxmocap.formats.cameras.calibration import check_camera_writable, read_calibration
@@ -13,17 +14,7 @@ from jaxmocap.formats.files.short_repr import comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable, file_name_problem, parse_toml, read_toml
 from jaxmocap.formats.recordings.recording import load_recording
 
-# Nothing here takes longer than a second or two on an idle machine.
-HANG_S = 60
 ESCAPES = "red\x1b[31m\n\u202eright to left"
-
-
-def complaint(function, *arguments) -> str:
-    with pytest.raises(InputError) as error:
-        function(*arguments)
-    text = str(error.value)
-    assert text.isprintable() and len(text) <= 500
-    return text
 
 
 def parsed(text: str):
@@ -230,9 +221,7 @@ YAML = (
 def test_data_over_a_hundred_thousand_lines_is_read_in_seconds(tmp_path):
     path = tmp_path / "c.yml"
     path.write_text(YAML + "   data: [ 1,\n" + "  0,\n" * 200_000)
-    begun = time.monotonic()
     assert "is not a complete matrix" in complaint(read_calibration, path)
-    assert time.monotonic() - begun < HANG_S
 
 
 @pytest.mark.parametrize(
