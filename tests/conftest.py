@@ -1,7 +1,10 @@
 """What all tests share: strict promotion, double precision, bodies, poses, real recordings."""
 
+import ctypes
+import gc
 import os
 import time
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
@@ -10,10 +13,14 @@ os.environ.setdefault(
     "JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "compiled")
 )
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-# Compiling takes most of the time, and half of it as solvers/programs.py asks for. A release that
-# does not know the flag would not start.
+# Much is compiled and little of it computed: without optimisation, compiling takes a third of the
+# time. What users run, optimised, the notebooks and the benchmark run.
+os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+# As compilation/programs.py asks for, and without threads: there is one worker to a core. A release
+# that does not know the flags would not start.
 if version("jaxlib").startswith("0.10."):
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+    flags = "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+    os.environ.setdefault("XLA_FLAGS", flags)
 
 import jax
 import jax.numpy as jnp
@@ -54,9 +61,9 @@ def double():
     return jax.enable_x64(True)
 
 
-# Beyond so much memory, GiB, compiled programs are let go between two files: two
-# workers would fill a machine of 24.
-MOST_RESIDENT_GIB = 5.0
+# Beyond so much memory, GiB, compiled programs are let go between two files. What a later file
+# needs of them is traced again and read from the folder of compiled programs.
+MOST_RESIDENT_GIB = 2.0
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -68,6 +75,10 @@ def programs_let_go():
         kib = next(line.split()[1] for line in status.read_text().splitlines() if "VmRSS" in line)
         if int(kib) / 2**20 > MOST_RESIDENT_GIB:
             jax.clear_caches()
+            gc.collect()
+            # The compiler leaves much that is free but not handed back.
+            with suppress(AttributeError, OSError):
+                ctypes.CDLL(None).malloc_trim(0)
 
 
 def complaint(read, *arguments, **options) -> str:
@@ -129,14 +140,6 @@ def in_double(tree):
 def kept_programs():
     """Programs are kept as by the commands, so that these, too, share what tests have compiled."""
     keep_compiled()
-
-
-@pytest.fixture(scope="module")
-def plainly_compiled():
-    """Compile without optimising: worth it where much is compiled and little of it computed."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture(scope="session")

@@ -121,7 +121,7 @@ SMOOTH = pytest.param("smooth", marks=pytest.mark.slow)
 @pytest.mark.parametrize(
     "name", [SMOOTH if name == "smooth" else name for name in (*FUNCTIONS, "Model.with_lengths")]
 )
-def test_the_example_of_a_function_runs(name, folder, monkeypatch, plainly_compiled):
+def test_the_example_of_a_function_runs(name, folder, monkeypatch):
     monkeypatch.chdir(folder)
     thing = jaxmocap
     for part in name.split("."):

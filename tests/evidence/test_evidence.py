@@ -39,8 +39,6 @@ from jaxmocap.images.regions import Region
 from jaxmocap.reference import cameras as reference_cameras
 from jaxmocap.reference.hybrid import raster as reference
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 GRID = 20
 COVERAGE = jax.jit(soft_coverage, static_argnums=1)
 CHAMFER = jax.jit(chamfer_sum)

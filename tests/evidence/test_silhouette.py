@@ -34,8 +34,6 @@ from jaxmocap.images.regions import Region, in_other_region
 from jaxmocap.images.silhouette_grid import Grid, blurred, cells, coverage_fit
 from jaxmocap.reference.hybrid import silhouette as reference
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 CELLS, LIMBS, SOFTNESS = 16, 4, 1.3
 # Silhouettes of the whole body.
 BODY_CELLS, BODY_REGION = 32, Region(np.array([111.5, 31.5]), np.array(13.0))

@@ -66,9 +66,6 @@ from jaxmocap.images.regions import Region
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.settings import SmoothingSettings
 
-# Much is compiled here and little of it computed.
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 LOGARITHMS = np.array([0.04, -0.03], np.float32)
 COUNT = 2
 

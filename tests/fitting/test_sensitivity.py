@@ -35,9 +35,6 @@ from jaxmocap.images.silhouette_grid import cells
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, all_turned
 
-# Much is compiled here and little of it computed.
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 COUNT, SOFTNESS = 4, 0.6
 # Cells by which the second nearest limb is away where no two limbs meet, blurred as they are.
 APART = 3.0

@@ -13,8 +13,6 @@ from jaxmocap.compilation.programs import Program, keep_in
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.pipelines.kept_programs import keep_compiled
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 MODEL, CHOSEN = Model.create(Skeleton.human(1.75)), Settings()
 MARKERS = np.array([[0, 0, 1.7], [0.3, 0.3, 1.0], [0.3, -0.3, 1.1]])
 LENGTHS = MODEL.skeleton.lengths

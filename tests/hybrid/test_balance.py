@@ -18,8 +18,6 @@ from jaxmocap.hybrid import balance, ik
 from jaxmocap.hybrid.settings import IKSettings
 from jaxmocap.reference.hybrid import balance as reference
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 FACTORS = jax.jit(balance.bow_factors)
 LANDMARKS_OF = jax.jit(landmarks)
 # Body heights in metres; None is the paper's subject.

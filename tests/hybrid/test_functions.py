@@ -28,8 +28,6 @@ from jaxmocap.smoothing.facing import references
 from jaxmocap.smoothing.functions import Events
 from jaxmocap.synthetic.movements.motions import table_tennis
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 NAMES = ("vertex", "wrist_l", "wrist_r")
 ROWS = [LANDMARKS.index(name) for name in NAMES]
 ELBOW_ROWS = [LANDMARKS.index(name) for name in ("elbow_l", "elbow_r")]

@@ -42,8 +42,6 @@ from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.smoothing.problem import all_turned
 from jaxmocap.solvers.status import Status
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 CAMERAS = stacked(FRONT)
 DOFS = arm_dofs(PERSON.tree)
 EFFECTORS = MODEL.effectors

@@ -24,8 +24,6 @@ from jaxmocap.hybrid.settings import IKSettings
 from jaxmocap.reference import kinematics as reference_kinematics
 from jaxmocap.reference.hybrid import ik as reference
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 NAMES = ("vertex", "wrist_l", "wrist_r", "ankle_l", "ankle_r")
 # A step in float32 may lie this far from double precision, weighted radians: the singular
 # directions of a nearly stretched limb are determined no better.

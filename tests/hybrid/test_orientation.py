@@ -42,8 +42,6 @@ from jaxmocap.pipelines.live.stream_states import _orientation_states
 from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.synthetic.movements import motions
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 BODY = with_wrists(Skeleton.human(1.75, proportions="winter"))
 TIMES = np.arange(5) / 10
 

@@ -41,8 +41,6 @@ from jaxmocap.images.edges import EdgeSettings, Thresholds, equalised, to_grey
 from jaxmocap.images.regions import to_region
 from jaxmocap.reference.hybrid import pipeline as reference
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 CAMERAS, BOTH = stacked(FRONT), stacked(FRONT, SIDE)
 ALONE = Settings(region=SIZE, search=False)
 DOFS = arm_dofs(PERSON.tree)

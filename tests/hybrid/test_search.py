@@ -37,8 +37,6 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.reference.hybrid import pipeline
 from jaxmocap.reference.hybrid import search as reference
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 SETTINGS = Settings(region=SIZE)
 SEARCH = SETTINGS.elbow_search
 ONE, BOTH = stacked(FRONT), stacked(FRONT, SIDE)

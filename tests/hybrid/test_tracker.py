@@ -28,8 +28,6 @@ from jaxmocap.reference import kinematics as reference
 from jaxmocap.reference.hybrid import ik as reference_ik
 from jaxmocap.reference.hybrid import pipeline as reference_pipeline
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 BLACK = np.zeros((480, 640, 3), np.uint8)
 MISSING = np.full((3, 3), np.nan)
 

@@ -22,8 +22,6 @@ from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
 from jaxmocap.pipelines.tracking.track import make_tracker
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 SAMPLES = EVENTS + 4
 PLACES = (
     MarkerPlace("Head", "head"),

@@ -14,7 +14,6 @@ from jaxmocap.silhouette.first_pose import standing_pose_at
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.synthetic.recording import write_video
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
 VIDEOS = [{"file": f"{name}.mp4", "camera": name} for name in ("left", "right")]
 
 

@@ -17,7 +17,6 @@ from jaxmocap.silhouette.segmentation.outlines import Outlines
 from jaxmocap.silhouette.state import PoseEstimate
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
 HANGING, UP, ELSEWHERE = lifted(10.0), lifted(150.0), lifted(80.0)
 SPEEDS = np.linspace(-2, 2, len(BODY.costs)).astype(np.float32)
 ARM = [BODY.tree.joint(name) for name in ("arm_flex_l", "arm_abduct_l", "elbow_flex_l")]

@@ -26,7 +26,6 @@ from jaxmocap.silhouette.segmentation.outlines import find_outlines
 from jaxmocap.silhouette.state import State
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
 EXPLAINED = jax.jit(explained_log_ratio, static_argnames="likelihood")
 WRIST = LANDMARKS.index("wrist_l")
 SHIRT, SKIN = (120, 50, 30), (80, 110, 170)

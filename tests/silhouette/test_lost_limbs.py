@@ -42,7 +42,6 @@ from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
 WRIST = LANDMARKS.index("wrist_l")
 DRAWN, DISTINCT = jax.jit(systematic_resampling), jax.jit(distinct_particles)
 EXPLAINED = jax.jit(explained_log_ratio, static_argnames="likelihood")

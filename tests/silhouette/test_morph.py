@@ -30,7 +30,6 @@ from jaxmocap.silhouette.pose import PoseSettings, solve_pose
 from jaxmocap.silhouette.surfaces import morph as m
 from jaxmocap.silhouette.surfaces import swelling as s
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
 BODY = with_joints(Skeleton.human(1.75, proportions="winter"), "supple.toml")
 SURFACE, JOINTS, TREE = generic_surface(BODY), rest_joints(BODY), BODY.tree
 LIFT = b.Driver(("arm_flex_l", "arm_abduct_l"))

@@ -24,7 +24,6 @@ from jaxmocap.silhouette.points import linearised_rays
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose, standard_deviations
 from jaxmocap.solvers.status import Status
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
 # All solves of these tests have the same shapes, so that they compile once to a precision.
 PAIRS = 240
 SOLVE = jax.jit(solve_pose)

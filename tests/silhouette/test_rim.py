@@ -30,7 +30,6 @@ from jaxmocap.silhouette.surfaces.index_image import (
 )
 from jaxmocap.silhouette.surfaces.rim import Rim, RimFinder, RimSettings
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
 BODY = with_joints(Skeleton.human(1.75, proportions="winter"), "whole.toml")
 CAMERAS = stack_cameras(ring(4))
 SETTINGS = RimSettings(size=128, outer=200, inner=40, spacing=0.012, margin=0.06)

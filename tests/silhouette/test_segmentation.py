@@ -49,7 +49,6 @@ from jaxmocap.synthetic.movements.exercises import exercise
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.renderer import Sensor, render_frames
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
 SIZE = 64
 PLAN = SegmentationPlan(background=False)
 Y, X = np.mgrid[:SIZE, :SIZE].astype(np.float32)

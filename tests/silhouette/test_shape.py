@@ -19,8 +19,6 @@ from jaxmocap.silhouette.device_functions import ContourPairs
 from jaxmocap.silhouette.passes import PassLearner
 from jaxmocap.silhouette.surfaces.shape import DEVIATION_M, ShapeEstimator, shape_equations
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 SURFACE, JOINTS = generic_surface(BODY), rest_joints(BODY)
 FIELDS = fields_of(SURFACE, JOINTS)
 

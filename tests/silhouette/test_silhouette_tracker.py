@@ -26,7 +26,6 @@ from jaxmocap.silhouette.settings import FAR_OFF, Settings, progressive
 from jaxmocap.silhouette.surfaces.rim import RimSettings
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
 # Plain walls need few steps, which compile sooner.
 PLAIN = SegmentationPlan(background=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
 SMALL = Settings(

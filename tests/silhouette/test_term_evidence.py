@@ -21,7 +21,6 @@ from jaxmocap.geometry.lines import Lines
 from jaxmocap.pipelines.silhouettes.track import make_silhouette_tracker
 from jaxmocap.silhouette.pose import PoseSettings, TermEvidence, solve_pose
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
 SITES = Sites(
     np.array([BODY.tree.bone(name) for name in ("head", "radius_l", "radius_r")], np.int32),
     jnp.asarray([1.0, 1.0, 0.8]),

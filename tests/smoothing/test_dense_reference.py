@@ -22,8 +22,6 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import with_deviations
 from jaxmocap.solvers.status import Status
 
-pytestmark = pytest.mark.usefixtures("plainly_compiled")
-
 # Of the deviations, what the solve alone leaves uncertain.
 SETTINGS = SmoothingSettings(iterations=60, mismatch=0.0)
 TIMES = np.array([0.0, 0.12, 0.25, 0.36, 0.52, 0.63, 0.8])
