@@ -81,6 +81,16 @@ def programs_let_go():
                 ctypes.CDLL(None).malloc_trim(0)
 
 
+# What takes longest comes first, so that workers end together (with --no-loadscope-reorder: xdist
+# would begin with files of many tests, however short they are).
+LONGEST_FILES = ("test_functions.py", "test_markers_alone.py")
+
+
+def pytest_collection_modifyitems(items):
+    """Files in order of what they take."""
+    items.sort(key=lambda item: item.path.name not in LONGEST_FILES)
+
+
 def complaint(read, *arguments, **options) -> str:
     """What input is refused with, and soon: one sentence that any terminal shows."""
     begun = time.monotonic()
@@ -153,6 +163,12 @@ def skeleton64() -> Skeleton:
     """The paper's subject, float64."""
     with double():
         return Skeleton.human()
+
+
+@pytest.fixture(scope="session")
+def plain_skeleton(skeleton64) -> Skeleton:
+    """The same in NumPy: the reference takes one number at a time, at which that is faster."""
+    return jax.tree.map(np.asarray, skeleton64)
 
 
 @pytest.fixture(scope="session")
