@@ -294,8 +294,8 @@ def test_images_bring_the_elbows_nearer_and_without_them_the_pose_stays(way, sce
     np.testing.assert_allclose(after[1], before[1], atol=1e-12)
 
 
-# Its program takes minutes to compile; what is its own, the derivative of its residuals, is among
-# those of all terms.
+# Another program as large as the outline's; what is its own, the derivative of its residuals, is
+# among those of all terms.
 AREA = pytest.param(Chamfer(drawn=False), marks=pytest.mark.slow)
 
 
