@@ -95,7 +95,8 @@ def calibrate_camera(
         raise InputError("--distortions", problem)
     check_camera_writable(out, camera)
     folder = picture_folder(pictures, f"intrinsics of {camera}", paths)
-    before, is_placed = _existing_section(out, camera)
+    section = read_toml(out).get(camera, {}) if out.exists() else {}
+    before = read_intrinsics(out, camera) if {"matrix", "size"} <= section.keys() else None
     detections = find_boards(paths, board)
     try:
         result = _checked_estimate(detections, kind)
@@ -109,18 +110,11 @@ def calibrate_camera(
     warnings = [
         *detections.warnings,
         *intrinsics_warnings(result, coverage),
-        *_change_warnings(result, before, is_placed),
+        *_change_warnings(result, before, "rotation" in section),
     ]
     drawn = [] if folder is None else folder.write(partial(draw_intrinsics, detections, result))
     write_camera(out, camera, result.lens.entries())
     return IntrinsicsResult(camera, detections, result, coverage, tuple(warnings), (out, *drawn))
-
-
-def _existing_section(out: Path, camera: str) -> tuple[Intrinsics | None, bool]:
-    """The intrinsics that the file holds of this camera, and whether it is placed already."""
-    table = read_toml(out).get(camera, {}) if out.exists() else {}
-    lens = read_intrinsics(out, camera) if "matrix" in table and "size" in table else None
-    return lens, "rotation" in table
 
 
 def _checked_estimate(detections: BoardDetections, kind: LensKind) -> IntrinsicsEstimate:

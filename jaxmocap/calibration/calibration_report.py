@@ -19,6 +19,12 @@ _PIXELS = ("fx", "fy", "cx", "cy")
 def intrinsics_text(result: IntrinsicsResult) -> str:
     """Pictures with their errors, parameters with their deviations, warnings, files."""
     width, height = result.estimate.lens.size
+    pictures = [
+        f"  {name}: {error:.2f} px, {tilt:.0f}°"
+        if use
+        else f"  {name}: {error:.2f} px, LEFT OUT: its corners do not fit the other views"
+        for name, error, tilt, use in result.rows()
+    ]
     used = sum(result.estimate.used)
     total = len(result.detections.pictures)
     lines = [
@@ -26,7 +32,7 @@ def intrinsics_text(result: IntrinsicsResult) -> str:
         f"{result.estimate.rms:.3f} pixels RMS",
         "",
         "picture: reprojection, tilt of the board",
-        *(_picture(*row) for row in result.rows()),
+        *pictures,
         *(f"  {name}: no board found" for name in result.detections.not_found),
         *(f"  {name}: the same as an earlier one" for name in result.detections.duplicates),
         "",
@@ -39,23 +45,11 @@ def intrinsics_text(result: IntrinsicsResult) -> str:
     return "\n".join(lines)
 
 
-def _picture(name: str, error: float, tilt: float, used: bool) -> str:
-    if not used:
-        return f"  {name}: {error:.2f} px, LEFT OUT: its corners do not fit the other views"
-    return f"  {name}: {error:.2f} px, {tilt:.0f}°"
-
-
 def _parameters(estimate: IntrinsicsEstimate) -> list[str]:
     rows = [["", "value", "std", "one view left out", "jackknife std"]]
     ranges = np.stack([estimate.leave_one_out.min(0), estimate.leave_one_out.max(0)], -1)
-    for name, value, std, (low, high), jackknife in zip(
-        estimate.parameters,
-        estimate.values,
-        estimate.std,
-        ranges,
-        estimate.jackknife_std,
-        strict=True,
-    ):
+    columns = estimate.parameters, estimate.values, estimate.std, ranges, estimate.jackknife_std
+    for name, value, std, (low, high), jackknife in zip(*columns, strict=True):
         if value == 0 and std == 0:
             continue
         digits = 1 if name in _PIXELS else 4
@@ -125,9 +119,7 @@ def extrinsics_text(result: ExtrinsicsResult) -> str:
 def extrinsics_figures(result: ExtrinsicsResult) -> dict[str, Any]:
     """The same as plain figures: metres, degrees, pixels."""
     placement = result.placement
-    mirrored = (
-        None if placement.mirrored is None else position_world_of(placement.mirrored).tolist()
-    )
+    mirrored = placement.mirrored
     return {
         "camera": result.camera,
         "position_m": placement.position_world.tolist(),
@@ -143,7 +135,7 @@ def extrinsics_figures(result: ExtrinsicsResult) -> dict[str, Any]:
                 result.names, placement.residuals_xy, placement.used, strict=True
             )
         ],
-        "mirrored_position_m": mirrored,
+        "mirrored_position_m": None if mirrored is None else position_world_of(mirrored).tolist(),
         "mirrored_ratio": _finite(placement.mirrored_ratio),
         "warnings": list(result.warnings),
         "files": [str(path) for path in result.files],

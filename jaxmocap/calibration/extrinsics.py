@@ -6,7 +6,7 @@ As the paper's section 3 has it: the board lies where it was measured in the mar
 so its corners' places in the world are given, and the camera follows from them.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -57,7 +57,7 @@ class Placement:
     std_deg: float
     mirrored: np.ndarray | None = None
     mirrored_ratio: float = np.inf
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = ()
 
     @property
     def rms(self) -> float:
@@ -117,20 +117,18 @@ def estimate_placement(
     best, warnings = _chosen_pose(poses, upside_down)
     mirrored = next((pose for pose in poses if pose is not best), None)
     std_m, std_deg = _deviations(best, points_world[used], lens)
-    return Placement(
-        best.matrix,
-        _residuals(best, points_world, pixels_xy, lens),
-        used,
-        std_m,
-        std_deg,
-        None if mirrored is None else mirrored.matrix,
-        np.inf if mirrored is None else mirrored.rms / max(best.rms, 1e-9),
-        (
-            *warnings,
-            *_uncertainty_warnings(std_m),
-            *_implausibility_warnings(best.matrix, upside_down),
-        ),
-    )
+    if std_m.max() >= _UNCERTAIN_M:
+        warnings.append(
+            f"the camera's place is only roughly estimated, ± {100 * std_m.max():.0f} cm: the "
+            "board or the points fill too little of the picture, or lie square to the view"
+        )
+    warnings += _implausibility_warnings(best.matrix, upside_down)
+    residuals_xy = project_points(points_world, best.rvec, best.tvec, lens) - pixels_xy
+    result = Placement(best.matrix, residuals_xy, used, std_m, std_deg, warnings=tuple(warnings))
+    if mirrored is None:
+        return result
+    ratio = mirrored.rms / max(best.rms, 1e-9)
+    return replace(result, mirrored=mirrored.matrix, mirrored_ratio=ratio)
 
 
 def _chosen_pose(poses: list[CameraPose], upside_down: bool) -> tuple[CameraPose, list[str]]:
@@ -139,8 +137,17 @@ def _chosen_pose(poses: list[CameraPose], upside_down: bool) -> tuple[CameraPose
     alike = [pose for pose in poses[1:] if pose.rms < AMBIGUOUS_RATIO * max(best.rms, 0.05)]
     if not alike:
         return best, []
-    best, other = _plausible_first(best, alike[0], upside_down)
-    return best, [_ambiguity_warning(best, other, upside_down)]
+    pair = best, alike[0]
+    faults = [len(_implausibility_warnings(pose.matrix, upside_down)) for pose in pair]
+    best, other = pair if faults[0] <= faults[1] else pair[::-1]
+    why = f"the one that is above the floor and {'upside down' if upside_down else 'upright'}"
+    if faults[0] == faults[1]:
+        why = "the one that fits better, which may be wrong"
+    return best, [
+        f"two cameras explain the picture alike, at {_position_text(best.matrix)} ({best.rms:.2f} "
+        f"pixels) and at {_position_text(other.matrix)} ({other.rms:.2f} pixels); taken is {why}. "
+        "Tilt the board against the view, bring it nearer, or give points that are not on one plane"
+    ]
 
 
 def _check_points(points_world: np.ndarray) -> None:
@@ -177,37 +184,8 @@ def _without_outlier(
     return used, poses
 
 
-def _plausible_first(
-    best: CameraPose, other: CameraPose, upside_down: bool
-) -> tuple[CameraPose, CameraPose]:
-    counts = [len(_implausibility_warnings(pose.matrix, upside_down)) for pose in (best, other)]
-    return (other, best) if counts[1] < counts[0] else (best, other)
-
-
-def _ambiguity_warning(taken: CameraPose, other: CameraPose, upside_down: bool) -> str:
-    taken_at, other_at = _position_text(taken.matrix), _position_text(other.matrix)
-    why = f"the one that is above the floor and {'upside down' if upside_down else 'upright'}"
-    counts = [len(_implausibility_warnings(pose.matrix, upside_down)) for pose in (taken, other)]
-    if counts[0] == counts[1]:
-        why = "the one that fits better, which may be wrong"
-    return (
-        f"two cameras explain the picture alike, at {taken_at} ({taken.rms:.2f} "
-        f"pixels) and at {other_at} ({other.rms:.2f} pixels); taken is {why}. Tilt the board "
-        "against the view, bring it nearer, or give points that are not on one plane"
-    )
-
-
 def _position_text(T_cam_world: np.ndarray) -> str:
     return "({:.2f}, {:.2f}, {:.2f}) m".format(*position_world_of(T_cam_world))
-
-
-def _uncertainty_warnings(std_m: np.ndarray) -> list[str]:
-    if std_m.max() < _UNCERTAIN_M:
-        return []
-    return [
-        f"the camera's place is only roughly estimated, ± {100 * std_m.max():.0f} cm: the board or "
-        "the points fill too little of the picture, or lie square to the view"
-    ]
 
 
 def _implausibility_warnings(T_cam_world: np.ndarray, upside_down: bool) -> list[str]:
@@ -246,12 +224,6 @@ def advice_on_board_pose(
                 f"{_position_text(other)}; see the axes in the picture"
             )
     return "see the axes in the picture: --pose does not fit it, or the world's z is not up"
-
-
-def _residuals(
-    pose: CameraPose, points_world: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics
-) -> np.ndarray:
-    return project_points(points_world, pose.rvec, pose.tvec, lens) - pixels_xy
 
 
 def _deviations(

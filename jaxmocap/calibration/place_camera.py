@@ -129,15 +129,25 @@ def place_camera(
     photo = picture.image()
     size_warnings = _photo_size_warnings(path, photo, lens)
     points = _target_points(path, photo, target)
-    placement = _checked_placement(target.points or path, points, lens, upside_down)
+    where, T_world_board = target.points or path, points.T_world_board
+    try:
+        placement = estimate_placement(points.world, points.pixels_xy, lens, upside_down)
+    except ArithmeticError as error:
+        raise InputError(where, str(error)) from None
     drawings: list[Path] = []
     if folder is not None:
-        board = _placed_board(target, points)
+        board = None
+        if target.board is not None and T_world_board is not None:
+            board = target.board, T_world_board
         draw = partial(draw_placement, picture, lens, placement, points.pixels_xy, board)
         drawings = folder.write(lambda stage: [draw(stage)])
-    advice = _advice(placement, points.T_world_board, upside_down)
+    advice = "are the points in the world's axes (Z up, or --up y), and pixels unmirrored?"
+    if T_world_board is not None:
+        advice = advice_on_board_pose(placement.T_cam_world, T_world_board, upside_down)
+    elif not placement.warnings:
+        advice = None
     if is_wrong_way_up(placement.T_cam_world, upside_down):
-        raise InputError(target.points or path, _refusal(upside_down, advice))
+        raise InputError(where, _refusal(upside_down, advice))
     entries = lens.entries() if intrinsics is not None else {}
     write_camera(out, camera, entries | placement.entries())
     warnings = (
@@ -149,36 +159,6 @@ def place_camera(
     return ExtrinsicsResult(
         camera, path.name, tuple(points.names), placement, warnings, (out, *drawings)
     )
-
-
-def _placed_board(
-    target: PlacementTarget, points: "_TargetPoints"
-) -> tuple[Board, np.ndarray] | None:
-    """The board and its place in the world, for what is drawn; None without one."""
-    if target.board is None or points.T_world_board is None:
-        return None
-    return target.board, points.T_world_board
-
-
-def _checked_placement(
-    path: str | Path, points: "_TargetPoints", lens: Intrinsics, upside_down: bool
-) -> Placement:
-    """The camera's placement; InputError about the file where the points determine none."""
-    try:
-        return estimate_placement(points.world, points.pixels_xy, lens, upside_down)
-    except ArithmeticError as error:
-        raise InputError(path, str(error)) from None
-
-
-def _advice(
-    placement: Placement, T_world_board: np.ndarray | None, upside_down: bool
-) -> str | None:
-    """What to check where a placement is implausible; None where it is not."""
-    if T_world_board is not None:
-        return advice_on_board_pose(placement.T_cam_world, T_world_board, upside_down)
-    if placement.warnings:
-        return "are the points in the world's axes (Z up, or --up y), and pixels unmirrored?"
-    return None
 
 
 def _photo_size_warnings(path: Path, photo: np.ndarray, lens: Intrinsics) -> list[str]:
@@ -264,14 +244,12 @@ def _refusal(upside_down: bool, advice: str | None) -> str:
 
 def _residual_warnings(placement: Placement, names: list[str]) -> list[str]:
     """Warnings about points that do not fit."""
-    warnings = []
-    for i in np.flatnonzero(~placement.used):
-        distance = np.linalg.norm(placement.residuals_xy[i])
-        warnings.append(
-            f"{names[i]} was left out: {distance:.0f} pixels from where the others put it"
-        )
+    off = np.linalg.norm(placement.residuals_xy, axis=-1)
+    warnings = [
+        f"{names[i]} was left out: {off[i]:.0f} pixels from where the others put it"
+        for i in np.flatnonzero(~placement.used)
+    ]
     if placement.rms > 3:
-        warnings.append(
-            f"{placement.rms:.1f} pixels are a lot: the picture shows which points are off"
-        )
+        rms = f"{placement.rms:.1f} pixels"
+        warnings.append(f"{rms} are a lot: the picture shows which points are off")
     return warnings

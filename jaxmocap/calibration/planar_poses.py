@@ -73,7 +73,11 @@ def candidate_poses(
         ]
     except cv2.error:
         return []
-    in_front = [pose for pose in poses if np.isfinite(pose.rms) and _in_front(pose, points)]
+    in_front = [
+        pose
+        for pose in poses
+        if np.isfinite(pose.rms) and (points @ pose.matrix[2, :3] + pose.tvec[2] > 0).all()
+    ]
     in_front.sort(key=lambda pose: pose.rms)
     return [pose for i, pose in enumerate(in_front) if all(_differ(pose, q) for q in in_front[:i])]
 
@@ -87,10 +91,6 @@ def relative_thickness(points: np.ndarray) -> float:
 def tilt_degrees(pose: CameraPose) -> float:
     """Angle between a board's normal and the camera's axis, degrees, 0 to 90."""
     return float(np.degrees(np.arccos(np.clip(abs(pose.matrix[2, 2]), 0, 1))))
-
-
-def _in_front(pose: CameraPose, points: np.ndarray) -> bool:
-    return bool(((points @ pose.matrix[2, :3]) + pose.tvec[2] > 0).all())
 
 
 def _differ(a: CameraPose, b: CameraPose) -> bool:

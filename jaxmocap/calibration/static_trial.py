@@ -105,7 +105,10 @@ def scale_subject(
     mass: float | None = None,
     wrists: bool = False,
 ) -> ScaledBody:
-    """Write a body by either way, one of height and static trial given; see the two below."""
+    """Write a person's body by height (metres) and mass (kilograms), or by a static trial.
+
+    ``scale_by_static`` says what the others are; one of height and static trial is given.
+    """
     if static is not None:
         if height is not None:
             raise InputError(static, "found --height beside --static, expected one of them")
@@ -115,13 +118,6 @@ def scale_subject(
     if height is None:
         problem = "found no source, expected --height, --static or --recording"
         raise InputError("the person", problem)
-    return scale_by_height(out, height, mass, wrists)
-
-
-def scale_by_height(
-    out: str | Path, height: float, mass: float | None = None, wrists: bool = False
-) -> ScaledBody:
-    """Write the body of a person of that height (metres) and mass (kilograms)."""
     table = {"height": height, "wrists": wrists} | ({} if mass is None else {"mass": mass})
     skeleton = read_subject(Path(out), "scale", table)
     write_subject(out, skeleton, height)

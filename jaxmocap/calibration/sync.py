@@ -138,7 +138,17 @@ def estimate_video_offsets(recording: Recording, search: float = 1.0) -> list[Vi
     paths = hand_paths(recording.require_markers())
     if not paths:
         raise InputError(where, "[markers.on]: no marker is present in four samples or more")
-    return [_sync_video(recording, source, paths, search) for source in recording.videos]
+    offsets = []
+    for source in recording.videos:
+        video, lags = open_video(source), []
+        # On the host: what follows projects a few points thousands of times.
+        camera = jax.tree.map(np.asarray, source.camera)
+        for first, count in _stretches(video, paths):
+            fields, spacing = flow_fields(video, first, count)
+            times = video.times[first : first + count]
+            lags.append(_estimate_lag(HandFlow(times, fields, spacing, camera, paths), search))
+        offsets.append(combine_lags(source, lags))
+    return offsets
 
 
 def hand_paths(recording: Recording) -> list[MarkerPath]:
@@ -150,19 +160,6 @@ def hand_paths(recording: Recording) -> list[MarkerPath]:
         for i in columns or range(len(recording.places))
     ]
     return [path for path in paths if path is not None]
-
-
-def _sync_video(
-    recording: Recording, source: VideoSource, paths: Sequence[MarkerPath], search: float
-) -> VideoOffset:
-    video, lags = open_video(source), []
-    # On the host: what follows projects a few points thousands of times.
-    camera = jax.tree.map(np.asarray, source.camera)
-    for first, count in _stretches(video, paths):
-        fields, spacing = flow_fields(video, first, count)
-        times = video.times[first : first + count]
-        lags.append(_estimate_lag(HandFlow(times, fields, spacing, camera, paths), search))
-    return combine_lags(source, lags)
 
 
 def _stretches(video: FrameSource, paths: Sequence[MarkerPath]) -> list[tuple[int, int]]:
@@ -192,7 +189,9 @@ def _estimate_lag(flow: HandFlow, search: float) -> StretchLag:
     if reason := _why_unidentifiable(flow, lags, scores, best, search):
         return StretchLag(middle, np.nan, np.nan, float(scores[best]), reason)
     near = lags[best] + np.arange(-FINE_RANGE_S, FINE_RANGE_S + FINE_STEP_S / 2, FINE_STEP_S)
-    costs = np.array([_distances(flow.flow_pair(lag)) for lag in near])
+    # Pixels (K, H) between flow and markers' motion at each lag.
+    pairs = map(flow.flow_pair, near)
+    costs = np.array([np.linalg.norm(p.measured - p.predicted, axis=-1) for p in pairs])
     lag, std = _least_squares(flow, float(near[np.nanmean(costs, (1, 2)).argmin()]))
     spread = _bootstrap_std(near, costs, flow.times)
     if std > MAX_STD_S or spread > MAX_NEAREST_STD_S or abs(lag - lags[best]) > FINE_RANGE_S:
@@ -231,11 +230,6 @@ def _why_unidentifiable(
     if best in (0, len(lags) - 1):
         return f"the best lag is at the end of the ±{search:g} s searched; search wider (--search)"
     return ""
-
-
-def _distances(pair: FlowPair) -> np.ndarray:
-    """(K, H) pixels between flow and markers' motion."""
-    return np.linalg.norm(pair.measured - pair.predicted, axis=-1)
 
 
 def _least_squares(flow: HandFlow, lag: float) -> tuple[float, float]:

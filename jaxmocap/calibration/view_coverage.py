@@ -80,8 +80,7 @@ def intrinsics_warnings(result: IntrinsicsEstimate, coverage: ImageCoverage) -> 
             f"the views determine the principal point poorly: ± {centre[0]:.1f} and "
             f"{centre[1]:.1f} pixels if the lens is as modelled and the board flat, several times "
             "that where they are not; a shift of it looks like a rotation of the camera, so find "
-            "the "
-            "extrinsics with these intrinsics, and show the board near all edges of the image, "
+            "the extrinsics with these intrinsics, and show the board near all edges of the image, "
             "turned and tilted"
         )
     ratio = result.jackknife_std[:4] / result.std[:4]
@@ -91,9 +90,12 @@ def intrinsics_warnings(result: IntrinsicsEstimate, coverage: ImageCoverage) -> 
             "use the jackknife's standard deviations (the board may be bent, or a view blurred)"
         )
     if result.rms > 1.0:
+        other = "a fisheye lens, which this model does not describe: try --fisheye"
+        if result.lens.fisheye:
+            other = "a lens that is no fisheye: try it without --fisheye"
         warnings.append(
             f"{result.rms:.1f} pixels are a lot (0.1 to 0.3 is usual): blurred pictures, a bent "
-            f"board, or {_other_lens(result.lens)}"
+            f"board, or {other}"
         )
     if not _is_distortion_monotonic(result.lens):
         warnings.append(
@@ -105,12 +107,6 @@ def intrinsics_warnings(result: IntrinsicsEstimate, coverage: ImageCoverage) -> 
     if sum(result.used) < MIN_VIEWS_ADVISED:
         warnings.append(f"{sum(result.used)} views are few: 10 to 20 are better")
     return warnings
-
-
-def _other_lens(lens: Intrinsics) -> str:
-    if lens.fisheye:
-        return "a lens that is no fisheye: try it without --fisheye"
-    return "a fisheye lens, which this model does not describe: try --fisheye"
 
 
 def _is_distortion_monotonic(lens: Intrinsics) -> bool:

@@ -56,16 +56,8 @@ class AnnotatedPicture:
 
     def dot(self, pixel_xy: np.ndarray, colour: tuple, radius: int = 3, filled: int = -1) -> None:
         """A disc, or with ``filled`` a ring of that width; radius in drawn pixels."""
-        centre = self._at(pixel_xy)
-        cv2.circle(
-            self.image,
-            centre,
-            radius << _FIXED_POINT_BITS,
-            colour,
-            filled,
-            cv2.LINE_AA,
-            _FIXED_POINT_BITS,
-        )
+        centre, radius = self._at(pixel_xy), radius << _FIXED_POINT_BITS
+        cv2.circle(self.image, centre, radius, colour, filled, cv2.LINE_AA, _FIXED_POINT_BITS)
 
     def line(self, start_xy: np.ndarray, end_xy: np.ndarray, colour: tuple, width: int = 2) -> None:
         """A straight line."""
@@ -76,11 +68,9 @@ class AnnotatedPicture:
         """Text with a dark rim, its lower left at a pixel."""
         x, y = (value >> _FIXED_POINT_BITS for value in self._at(pixel_xy))
         for dx, dy, ink in ((-1, -1, 0), (-1, 1, 0), (1, -1, 0), (1, 1, 0), (0, 0, 1)):
-            shade = colour if ink else (0, 0, 0)
-            place = (x + dx, y + dy)
-            cv2.putText(
-                self.image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, shade, 1, cv2.LINE_AA
-            )
+            shade, place = colour if ink else (0, 0, 0), (x + dx, y + dy)
+            font = cv2.FONT_HERSHEY_SIMPLEX
+            cv2.putText(self.image, text, place, font, 0.6, shade, 1, cv2.LINE_AA)
 
     def title(self, text: str) -> None:
         """The next line of text at the top left."""

@@ -77,13 +77,6 @@ def open_pictures(paths: Sequence[str | Path], board: Board) -> tuple[list[Pictu
     return pictures, warnings
 
 
-@dataclass(frozen=True)
-class _FrameView:
-    number: int
-    sharpness: float
-    features: np.ndarray
-
-
 def _chosen_frames(video: Video, board: Board) -> tuple[list[Picture], str]:
     """Sharp frames that differ from one another in the board's place, size and tilt."""
     step = max(1, -(-len(video) // MAX_EXAMINED_FRAMES))
@@ -92,42 +85,32 @@ def _chosen_frames(video: Video, board: Board) -> tuple[list[Picture], str]:
         if grey is not None and number % step == 0:
             pixels = find_coarsely(grey, board)
             if pixels is not None:
-                candidates.append(
-                    _FrameView(number, _sharpness(grey, pixels), _features(pixels, board, grey))
-                )
+                features = _features(pixels, board, grey)
+                candidates.append((number, _sharpness(grey, pixels), features))
     examined = -(-len(video) // step)
     sentence = f"{video.path.name}: board found in {len(candidates)} of {examined} frames examined"
     if not candidates:
         return [], sentence
-    limit = MIN_SHARPNESS * float(np.median([view.sharpness for view in candidates]))
-    sharp = [view for view in candidates if view.sharpness >= limit]
-    numbers = sorted(view.number for view in farthest_views(sharp, MAX_CHOSEN_FRAMES))
-    images = {
-        i: image
-        for i, (_, image) in enumerate(video.frames())
-        if i in numbers and image is not None
-    }
-    chosen = [
-        Picture(f"{video.path.name} frame {i}", video.path, image) for i, image in images.items()
-    ]
-    blurred = len(candidates) - len(sharp)
-    return chosen, f"{sentence}, {blurred} blurred, {len(chosen)} chosen for their spread"
-
-
-def farthest_views(views: Sequence[_FrameView], count: int) -> list[_FrameView]:
-    """Up to ``count`` views, each as far as can be from those chosen before it.
-
-    The first is the sharpest; those that show nothing new are not chosen.
-    """
-    chosen = [max(views, key=lambda view: view.sharpness)]
-    features = np.array([view.features for view in views])
-    distances = np.full(len(views), np.inf)
-    while len(chosen) < count:
-        distances = np.minimum(distances, np.linalg.norm(features - chosen[-1].features, axis=-1))
+    numbers, sharpness, features = map(np.array, zip(*candidates, strict=True))
+    sharp = sharpness >= MIN_SHARPNESS * np.median(sharpness)
+    numbers, sharpness, features = numbers[sharp], sharpness[sharp], features[sharp]
+    # The sharpest first, then each as far as can be from those chosen before it; those that show
+    # nothing new are not chosen.
+    spread, distances = [int(sharpness.argmax())], np.full(len(numbers), np.inf)
+    while len(spread) < MAX_CHOSEN_FRAMES:
+        away = np.linalg.norm(features - features[spread[-1]], axis=-1)
+        distances = np.minimum(distances, away)
         if distances.max() < MIN_NEW_DISTANCE:
             break
-        chosen.append(views[int(distances.argmax())])
-    return chosen
+        spread.append(int(distances.argmax()))
+    wanted = set(numbers[spread].tolist())
+    chosen = [
+        Picture(f"{video.path.name} frame {i}", video.path, image)
+        for i, (_, image) in enumerate(video.frames())
+        if i in wanted and image is not None
+    ]
+    blurred = len(candidates) - len(numbers)
+    return chosen, f"{sentence}, {blurred} blurred, {len(chosen)} chosen for their spread"
 
 
 def _sharpness(grey: np.ndarray, pixels_xy: np.ndarray) -> float:

@@ -193,15 +193,12 @@ def _covariance(
     inverse = np.linalg.pinv(normal)
     # Three unknowns have made the residuals smaller than the errors are.
     few = len(A) / (len(A) - 3)
-    return few * inverse @ pulls.T @ pulls @ inverse + _undetermined_covariance(normal)
-
-
-def _undetermined_covariance(normal: np.ndarray) -> np.ndarray:
-    """Covariance (3, 3), metres^2, of what the turns leave open: a device is within a metre."""
+    # What the turns leave open: a device is within a metre. About an axis that rotated a thirtieth
+    # of the others or less the noise outweighs it.
     values, vectors = np.linalg.eigh(normal)
-    # About an axis that rotated a thirtieth of the others or less the noise outweighs it.
-    share = values / max(float(values[-1]), 1e-12)
-    return vectors @ np.diag(np.where(share < 1e-3, 1.0, 0.0)) @ vectors.T
+    is_open = values / max(float(values[-1]), 1e-12) < 1e-3
+    undetermined = vectors @ np.diag(np.where(is_open, 1.0, 0.0)) @ vectors.T
+    return few * inverse @ pulls.T @ pulls @ inverse + undetermined
 
 
 def _standing_orientation(

@@ -114,17 +114,21 @@ def calibrate_standing(
     R_world_body = _facing(places, positions_world, R_world_marker, warnings)
     height = _stature(places, positions_world) if scaled else None
     if height is not None:
-        body = _resized(body, height)
+        # The stature's bones; the joints stay.
+        usual, bones = Skeleton.human(height), ("lengths", "directions", "masses", "diameters")
+        body = replace(body, **{name: getattr(usual, name) for name in bones})
     lengths: dict[str, float] = {}
     if scaled and stance == "t":
         lengths = _arm_lengths(places, positions_world, stand(body, stance), warnings)
-        body = _with_lengths(body, lengths)
-    standing = stand(body, stance)
-    orientations = {
-        place.name: tuple(quaternions(_on_bone(standing, place, R_world_body, R)).tolist())
-        for place, R in zip(places, R_world_marker, strict=True)
-        if np.isfinite(R).all()
-    }
+        changed = np.array(body.lengths)
+        for name, length in lengths.items():
+            changed[body.tree.bone(name)] = length
+        body = replace(body, lengths=changed.astype(body.lengths.dtype))
+    standing, orientations = stand(body, stance), {}
+    for place, R in zip(places, R_world_marker, strict=True):
+        if np.isfinite(R).all():
+            R_world_bone = R_world_body @ standing.R_body_bone[body.tree.bone(place.bone)]
+            orientations[place.name] = tuple(quaternions(R_world_bone.T @ R).tolist())
     offsets = _offsets(places, positions_world, R_world_body, standing, warnings)
     return StandingCalibration(height, lengths, orientations, offsets, tuple(warnings))
 
@@ -203,14 +207,6 @@ def _stature(places: Sequence[MarkerPlace], positions: np.ndarray) -> float | No
     return height
 
 
-def _resized(body: Skeleton, height: float) -> Skeleton:
-    """The body with a stature's bones; its joints stay."""
-    usual = Skeleton.human(height)
-    bones = {"lengths": usual.lengths, "directions": usual.directions, "masses": usual.masses,
-             "diameters": usual.diameters}  # fmt: skip
-    return replace(body, **bones)
-
-
 def _arm_lengths(
     places: Sequence[MarkerPlace],
     positions: np.ndarray,
@@ -238,21 +234,6 @@ def _arm_lengths(
         for name in _ARM_BONES
         for side in "lr"
     }
-
-
-def _with_lengths(body: Skeleton, lengths: Mapping[str, float]) -> Skeleton:
-    changed = np.array(body.lengths)
-    for name, length in lengths.items():
-        changed[body.tree.bone(name)] = length
-    return replace(body, lengths=changed.astype(body.lengths.dtype))
-
-
-def _on_bone(
-    standing: _Stand, place: MarkerPlace, R_world_body: np.ndarray, R_world_marker: np.ndarray
-) -> np.ndarray:
-    """(3, 3) from the marker's axes to its bone's."""
-    R_body_bone = standing.R_body_bone[standing.skeleton.tree.bone(place.bone)]
-    return (R_world_body @ R_body_bone).T @ R_world_marker
 
 
 def _offsets(
