@@ -62,7 +62,11 @@ def lay_out(
     top: list[rrb.View | rrb.Container] = [body]
     if cameras:
         top.append(_camera_views(cameras))
-    curves = [_series_view(entity, title) for entity, title in series.items()]
+    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
+    curves = [
+        rrb.TimeSeriesView(origin=f"/{entity}", name=title, plot_legend=legend)
+        for entity, title in series.items()
+    ]
     statuses = rrb.TextLogView(origin="/statuses", name="Statuses")
     return rrb.Blueprint(
         rrb.Vertical(
@@ -70,7 +74,12 @@ def lay_out(
             rrb.Horizontal(*curves[:2], rrb.Tabs(statuses, *curves[2:]), column_shares=[3, 3, 2]),
             row_shares=[5, 2],
         ),
-        _time_panel(live),
+        rrb.TimePanel(
+            timeline=TIMELINE,
+            state="collapsed",
+            play_state="following" if live else "playing",
+            loop_mode=None if live else "all",
+        ),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
     )
@@ -86,14 +95,6 @@ def _grid(floor: Floor | None) -> rrb.LineGrid3D:
     )
 
 
-def _time_panel(live: bool) -> rrb.TimePanel:
-    if live:
-        return rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="following")
-    return rrb.TimePanel(
-        timeline=TIMELINE, state="collapsed", play_state="playing", loop_mode="all"
-    )
-
-
 def _camera_views(cameras: Mapping[str, list[str]]) -> rrb.Container:
     """All cameras' images; behind a tab their fields, where there are any."""
     images = rrb.Grid(
@@ -103,34 +104,15 @@ def _camera_views(cameras: Mapping[str, list[str]]) -> rrb.Container:
         ),
         name="Images",
     )
-    fields = [
-        rrb.Spatial2DView(origin=entity_path("fields", name, label), name=f"{name}: {label}")
-        for name, labels in cameras.items()
-        for label in labels
-    ]
-    if not fields:
-        return images
-    return rrb.Tabs(images, *_by_camera(cameras, fields))
-
-
-def _series_view(entity: str, title: str) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(
-        origin=f"/{entity}",
-        name=title,
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
-    )
-
-
-def _by_camera(
-    cameras: Mapping[str, list[str]], fields: list[rrb.Spatial2DView]
-) -> list[rrb.Horizontal]:
-    """Each camera's fields side by side, a tab for each camera."""
-    left = iter(fields)
-    return [
-        rrb.Horizontal(*(next(left) for _ in labels), name=f"{name}: edges")
-        for name, labels in cameras.items()
-        if labels
-    ]
+    tabs = []
+    for name, labels in cameras.items():
+        fields = [
+            rrb.Spatial2DView(origin=entity_path("fields", name, label), name=f"{name}: {label}")
+            for label in labels
+        ]
+        if fields:
+            tabs.append(rrb.Horizontal(*fields, name=f"{name}: edges"))
+    return rrb.Tabs(images, *tabs) if tabs else images
 
 
 def _eye(scene: BodyScene) -> rrb.EyeControls3D | None:

@@ -73,19 +73,14 @@ def write_overlay(
                 first, stream = time, _add_stream(file.container, canvas, rate)
             # Two frames of the same time would not be a valid file.
             stamp = max(stamp + 1, round((time - first) * CLOCK_HZ))
-            file.write(stream.encode(_video_frame(canvas, stamp)))
+            frame = av.VideoFrame.from_ndarray(canvas, format="bgr24")
+            frame.pts, frame.time_base = stamp, Fraction(1, CLOCK_HZ)
+            file.write(stream.encode(frame))
             count += 1
         if stream is None:
             raise InputError(path, "found no video frame to draw on")
         file.write(stream.encode(None))
     return count
-
-
-def _video_frame(canvas: np.ndarray, stamp: int) -> av.VideoFrame:
-    """A frame at so many ticks of ``CLOCK_HZ``."""
-    frame = av.VideoFrame.from_ndarray(canvas, format="bgr24")
-    frame.pts, frame.time_base = stamp, Fraction(1, CLOCK_HZ)
-    return frame
 
 
 def _add_stream(container: OutputContainer, canvas: np.ndarray, rate: float) -> VideoStream:
@@ -139,7 +134,11 @@ class OverlayArtist:
         sample = int(np.argmin(np.abs(self.scene.times - time)))
         ends = self.scene.at(time)
         if ends is not None:
-            self._draw_ellipses(canvas, time, size)
+            if self.uncertainty is not None:
+                for ellipse in ellipses_in(self.camera, self.uncertainty, time):
+                    colour = OUTLINE_COLOURS.get(ellipse.elbow, ELLIPSE_COLOUR)
+                    _tint(canvas, ellipse.points, colour)
+                    _draw_line(canvas, ellipse.points, colour, size)
             self._draw_outlines(canvas, *ends, size)
             self._draw_points(canvas, *ends, sample, size)
         title = f"{time:.2f} s" + ("" if ends is not None else ", no pose")
@@ -156,14 +155,6 @@ class OverlayArtist:
         if np.isfinite(deviations).any():
             lines.append((f"ellipses: {SIGMAS:.0f} std. dev.", ELLIPSE_COLOUR))
         return [*lines, *([("+ marker", TARGET_COLOUR)] if self.targets else [])]
-
-    def _draw_ellipses(self, canvas: np.ndarray, time: float, size: int) -> None:
-        if self.uncertainty is None:
-            return
-        for ellipse in ellipses_in(self.camera, self.uncertainty, time):
-            colour = OUTLINE_COLOURS.get(ellipse.elbow, ELLIPSE_COLOUR)
-            _tint(canvas, ellipse.points, colour)
-            _draw_line(canvas, ellipse.points, colour, size)
 
     def _draw_outlines(
         self, canvas: np.ndarray, near: np.ndarray, far: np.ndarray, size: int
@@ -185,10 +176,11 @@ class OverlayArtist:
         )
         for line in np.stack([near_xy, far_xy], 1):
             _draw_line(canvas, line, BONE_COLOUR, size)
-        for pixel in near_xy:
-            _draw_dot(canvas, pixel, JOINT_COLOUR, 2 * size)
-        for pixel in targets_xy:
-            _draw_cross(canvas, pixel, TARGET_COLOUR, size)
+        for at in _fixed(near_xy, SHIFT).tolist():
+            cv2.circle(canvas, at, 2 * size << SHIFT, JOINT_COLOUR, -1, cv2.LINE_AA, SHIFT)
+        mark, width = (cv2.MARKER_CROSS, 12 * size), size + 1
+        for at in _fixed(targets_xy).tolist():
+            cv2.drawMarker(canvas, at, TARGET_COLOUR, *mark, width, cv2.LINE_AA)
 
 
 def encode_jpeg(image: np.ndarray, quality: int) -> bytes:
@@ -205,30 +197,20 @@ def _tint(canvas: np.ndarray, points: np.ndarray, colour: Colour) -> None:
         return
     part = canvas[top:bottom, left:right]
     tinted = part.copy()
-    inside = np.clip(points - [left, top], -1e4, 1e4) * 2**SHIFT
-    cv2.fillPoly(tinted, [inside.round().astype(np.int32)], colour, cv2.LINE_AA, SHIFT)
+    cv2.fillPoly(tinted, [_fixed(points - [left, top], SHIFT)], colour, cv2.LINE_AA, SHIFT)
     cv2.addWeighted(tinted, ELLIPSE_OPACITY, part, 1 - ELLIPSE_OPACITY, 0, part)
 
 
 def _draw_line(canvas: np.ndarray, points: np.ndarray, colour: Colour, width: int) -> None:
     if np.isfinite(points).all():
-        # OpenCV's fixed point overflows far outside the image.
-        fixed = np.clip(points, -1e4, 1e4) * 2**SHIFT
-        cv2.polylines(
-            canvas, [fixed.round().astype(np.int32)], False, colour, width, cv2.LINE_AA, SHIFT
-        )
+        cv2.polylines(canvas, [_fixed(points, SHIFT)], False, colour, width, cv2.LINE_AA, SHIFT)
 
 
-def _draw_dot(canvas: np.ndarray, pixel: np.ndarray, colour: Colour, radius: int) -> None:
-    if np.isfinite(pixel).all():
-        fixed = (np.clip(pixel, -1e4, 1e4) * 2**SHIFT).round().astype(int).tolist()
-        cv2.circle(canvas, fixed, radius << SHIFT, colour, -1, cv2.LINE_AA, SHIFT)
-
-
-def _draw_cross(canvas: np.ndarray, pixel: np.ndarray, colour: Colour, size: int) -> None:
-    if np.isfinite(pixel).all():
-        at = np.clip(pixel, -1e4, 1e4).round().astype(int).tolist()
-        cv2.drawMarker(canvas, at, colour, cv2.MARKER_CROSS, 12 * size, size + 1, cv2.LINE_AA)
+def _fixed(points: np.ndarray, bits: int = 0) -> np.ndarray:
+    """(P, 2) int32, so many bits of them fractions, of those that are finite."""
+    # OpenCV's fixed point overflows far outside the image.
+    points = np.clip(points[np.isfinite(points).all(-1)], -1e4, 1e4)
+    return (points * 2**bits).round().astype(np.int32)
 
 
 def draw_legend(canvas: np.ndarray, lines: list[tuple[str, Colour]]) -> None:

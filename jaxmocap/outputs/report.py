@@ -59,7 +59,9 @@ def summarise(motion: Motion) -> dict:
     }
     if motion.report is not None:
         summary |= _summarise_report(times, motion.report) | {"misfit": misfit(motion)}
-    return summary | {"versions": versions(), "backend": _backend()}
+    device = jax.devices()[0]
+    backend = {"platform": device.platform, "device": device.device_kind}
+    return summary | {"versions": versions(), "backend": backend}
 
 
 def misfit(motion: Motion, least: float = OFF_M) -> str | None:
@@ -176,11 +178,6 @@ def _version(name: str) -> str | None:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
         return None
-
-
-def _backend() -> dict[str, str]:
-    device = jax.devices()[0]
-    return {"platform": device.platform, "device": device.device_kind}
 
 
 def plain(value: Any) -> Any:

@@ -76,15 +76,9 @@ def neighbours(times: np.ndarray, time: float) -> tuple[int, int, float] | None:
 
 def make_scene(motion: Motion) -> BodyScene:
     """Place every bone of a motion in the world."""
-    R, near, far = in_blocks(_place, motion.skeleton, motion.poses)
-    return BodyScene(
-        motion.skeleton.tree,
-        np.asarray(motion.times, float),
-        R,
-        near,
-        far,
-        np.asarray(motion.skeleton.diameters) / 2,
-    )
+    skeleton, times = motion.skeleton, np.asarray(motion.times, float)
+    R, near, far = in_blocks(_place, skeleton, motion.poses)
+    return BodyScene(skeleton.tree, times, R, near, far, np.asarray(skeleton.diameters) / 2)
 
 
 @jax.jit

@@ -46,7 +46,9 @@ class UnityBody:
         armature = armature_of(Motion(skeleton, np.zeros(1), upright))
         kept = [j for j, name in enumerate(armature.names) if not name.endswith("_end")]
         self.joints = tuple(armature.names[j] for j in kept)
-        self.parents = tuple(self._index(armature.names, armature.parents[j]) for j in kept)
+        parents = [armature.parents[j] for j in kept]
+        names = [armature.names[k] if k >= 0 else None for k in parents]
+        self.parents = tuple(-1 if name is None else self.joints.index(name) for name in names)
         self._offsets = to_unity(armature.offsets[kept])
         self._axes = np.asarray(skeleton.axes, float)
         self._bones = np.array([tree.bone(name) for name in self.joints if name != PELVIS])
@@ -57,9 +59,6 @@ class UnityBody:
         # Joint in its parent, in T: R_rest_parent @ local @ R_rest_bone.T
         self._before = np.where((above >= 0)[:, None], turns[above], [1.0, 0, 0, 0])
         self._after = turns[self._bones] * [1, -1, -1, -1]
-
-    def _index(self, names: tuple[str, ...], parent: int) -> int:
-        return -1 if parent < 0 else self.joints.index(names[parent])
 
     def local(self, pose: Pose) -> Joints:
         """Every joint in its parent, the pelvis in the world."""
@@ -73,14 +72,18 @@ class UnityBody:
         wxyz = np.vstack([np.asarray(pose.quaternion, float)[None], multiply(turns, self._after)])
         positions = self._offsets.copy()
         positions[0] = to_unity(np.asarray(pose.position, float))
-        return Joints(positions, quaternions_to_unity(wxyz))
+        # The mirror reverses the axes that quaternions turn about.
+        return Joints(positions, np.hstack([-to_unity(wxyz[:, 1:]), wxyz[:, :1]]))
 
     def in_world(self, local: Joints) -> Joints:
         """Every joint in the world."""
         positions, turns = local.positions.copy(), local.quaternions[:, [3, 0, 1, 2]]
         for joint, parent in enumerate(self.parents):
             if parent >= 0:
-                positions[joint] = positions[parent] + _rotated(turns[parent], positions[joint])
+                w, axis = turns[parent, 0], turns[parent, 1:]
+                around = 2 * np.cross(axis, positions[joint])
+                rotated = positions[joint] + w * around + np.cross(axis, around)
+                positions[joint] = positions[parent] + rotated
                 turns[joint] = multiply(turns[parent], turns[joint])
         return Joints(positions, turns[:, [1, 2, 3, 0]])
 
@@ -88,11 +91,6 @@ class UnityBody:
 def to_unity(points_world: np.ndarray) -> np.ndarray:
     """Points (..., 3) of the world in Unity's frame."""
     return points_world @ R_WORLD_UNITY
-
-
-def quaternions_to_unity(wxyz: np.ndarray) -> np.ndarray:
-    """Quaternions (..., 4), wxyz, of the world as Unity's xyzw; the mirror reverses their axes."""
-    return np.concatenate([-to_unity(wxyz[..., 1:]), wxyz[..., :1]], -1)
 
 
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -108,11 +106,6 @@ def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         ],
         -1,
     )
-
-
-def _rotated(wxyz: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    around = 2 * np.cross(wxyz[1:], vector)
-    return vector + wxyz[0] * around + np.cross(wxyz[1:], around)
 
 
 def euler_degrees(xyzw: np.ndarray) -> np.ndarray:

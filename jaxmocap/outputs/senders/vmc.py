@@ -26,12 +26,8 @@ from jaxmocap.outputs.senders.unity import Joints, UnityBody
 
 # The port of its receivers.
 DEFAULT_SEND = Address(port=39539)
-# Values of /VMC/Ext/OK: the model is loaded.
-_LOADED = 1
-# It is calibrated.
-_CALIBRATED = 3
-# In the normal mode.
-_MODE = 0
+# First values of /VMC/Ext/OK: the model is loaded, it is calibrated, the mode is the normal one.
+_READY = [1, 3, 0]
 # Bones in one bundle: more would not fit into 1200 bytes, and networks cut longer datagrams up.
 BONES_IN_BUNDLE = 13
 # No translation, no rotation (xyzw).
@@ -43,19 +39,21 @@ class VMC(Sender):
 
     def __init__(self, table: "VmcTable", body: UnityBody):
         """Build the bundles."""
-        bones = [("/VMC/Ext/Bone/Pos", [_in_unity(name), *_IDENTITY]) for name in body.joints]
+        # Unity's names are VRM's with a capital.
+        names = [CONVENTIONS["vrm"][joint] for joint in body.joints]
+        places = [[name[0].upper() + name[1:], *_IDENTITY] for name in names]
+        bones = [("/VMC/Ext/Bone/Pos", place) for place in places]
         self._starts = range(0, len(bones), BONES_IN_BUNDLE)
         status = [
             ("/VMC/Ext/Root/Pos", ["root", *_IDENTITY]),
-            ("/VMC/Ext/OK", [_LOADED, _CALIBRATED, _MODE, 1]),
+            ("/VMC/Ext/OK", [*_READY, 1]),
             ("/VMC/Ext/T", [0.0]),
         ]
         self._tracked = [
             Bundle(bones[start : start + BONES_IN_BUNDLE] + status * (start == self._starts[-1]))
             for start in self._starts
         ]
-        lost = [_LOADED, _CALIBRATED, _MODE, 0]
-        self._lost = Bundle([("/VMC/Ext/OK", lost), ("/VMC/Ext/T", [0.0])])
+        self._lost = Bundle([("/VMC/Ext/OK", [*_READY, 0]), ("/VMC/Ext/T", [0.0])])
 
     def frame(self, time: float, local: Joints) -> list[bytes]:
         """The bundles of a pose."""
@@ -75,9 +73,3 @@ class VmcTable(SenderTable):
 
     send: Address = DEFAULT_SEND
     kind, title, is_default = VMC, "VMC", True
-
-
-def _in_unity(joint: str) -> str:
-    """Unity's name of a joint: VRM's with a capital."""
-    name = CONVENTIONS["vrm"][joint]
-    return name[0].upper() + name[1:]
