@@ -167,16 +167,6 @@ def points_z_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
     return {name: points[:, TO_WORLD[up]] for name, points in reference.points().items()}
 
 
-def _tracked_joints(folder: Path) -> tuple[Path, Markers]:
-    path = folder / "motion.npz"
-    if not path.is_file():
-        path = folder / "joints.trc"
-        return path, read_markers(path)
-    motion = load_motion(path)
-    joints = motion.joints()
-    return path, Markers(motion.times, tuple(joints), np.stack(list(joints.values()), 1))
-
-
 def evaluate_directory(
     directory: str | Path,
     truth_path: str | Path,
@@ -202,7 +192,14 @@ def evaluate_directory(
         InputError: a file that is missing or no marker file, an unknown name, no common time.
         ValueError: another ``up``.
     """
-    path, tracked = _tracked_joints(Path(directory))
+    path = Path(directory) / "motion.npz"
+    if path.is_file():
+        motion = load_motion(path)
+        joints = motion.joints()
+        tracked = Markers(motion.times, tuple(joints), np.stack(list(joints.values()), 1))
+    else:
+        path = Path(directory) / "joints.trc"
+        tracked = read_markers(path)
     truth = read_markers(truth_path)
     truth_world = points_z_up(truth, up or default_up(truth_path))
     if pairs is None:

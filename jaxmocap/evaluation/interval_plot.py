@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from jaxmocap.formats.files.writing import replacing
+from jaxmocap.evaluation.plots import save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,12 +60,15 @@ def plot_intervals(
         _plot_estimates(axes, intervals, verdict, colour)
     axes.set_yticks(rows, [interval.name for interval in intervals])
     axes.invert_yaxis()
-    _style_axes(axes, 108 * max(max(i.before, abs(i.estimate) + i.after) for i in intervals))
+    half_width = 108 * max(max(i.before, abs(i.estimate) + i.after) for i in intervals)
+    axes.axvline(0, color="#888888", linewidth=0.8)
+    axes.set_xlim(-half_width, half_width)
+    axes.set_xlabel("change against what was stated [%], ± 2 standard deviations")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(axis="x", color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)
     figure.legend(loc="outside lower center", frameon=False, ncols=4, fontsize="small")
-    if title:
-        figure.suptitle(title)
-    with replacing(path) as beside:
-        figure.savefig(beside, dpi=130)
+    save_figure(figure, path, title)
 
 
 def _plot_estimates(axes: Axes, intervals: Sequence[Interval], verdict: str, colour: str) -> None:
@@ -83,12 +86,3 @@ def _plot_estimates(axes: Axes, intervals: Sequence[Interval], verdict: str, col
         linewidth=2,
         label=verdict,
     )
-
-
-def _style_axes(axes: Axes, half_width: float) -> None:
-    axes.axvline(0, color="#888888", linewidth=0.8)
-    axes.set_xlim(-half_width, half_width)
-    axes.set_xlabel("change against what was stated [%], ± 2 standard deviations")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(axis="x", color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)

@@ -15,7 +15,6 @@ from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass
 from jaxmocap.formats.files.writing import replacing
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from jaxmocap.evaluation.errors import Errors
@@ -50,9 +49,21 @@ def plot_elbow_errors(
         before = 100 * np.asarray(errors_markers_only[joint], float)
         after = 100 * np.asarray(errors_with_video[joint], float)
         top, middle, bottom = axes[:, column]
-        _plot_errors(top, bottom, times, {"markers only": before, "with video": after})
+        named = ("markers only", before, MARKERS_ONLY), ("with video", after, WITH_VIDEO)
+        for name, values, style in named:
+            top.plot(times, values, label=f"{name}: mean {_mean(values):.1f} cm", **style)
+            bottom.plot(times, high_pass(times, values), **style)
+        # Above the panel, where it hides no curve.
+        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.98), "ncols": 2}
+        top.legend(**place, frameon=False, fontsize="small")
         top.set_title(joint.replace("_l", ", left").replace("_r", ", right"), pad=22)
-        _plot_reduction(middle, times, before - after)
+        # Green where video reduces the error, red where it adds to it.
+        for bound, colour in ((np.maximum, "#2e7d32"), (np.minimum, "#c62828")):
+            reduction = bound(before - after, 0)
+            middle.fill_between(times, 0, reduction, color=colour, alpha=0.35, linewidth=0)
+        middle.plot(times, before - after, color="#222222", linewidth=1.0)
+        for panel in (middle, bottom):
+            panel.axhline(0, color="#888888", linewidth=0.6)
         bottom.set_xlabel("time [s]")
     labels = "error [cm]", "reduction [cm]", f"error above {HIGH_PASS_HZ} Hz [cm]"
     for row, label in zip(axes[:, 0], labels, strict=True):
@@ -95,26 +106,6 @@ def plot_joint_errors(path: str | Path, runs: Mapping[str, Errors], title: str =
     # Room for the legends above the curves.
     axes[0, 0].set_ylim(0, high + 0.35 * (high - low))
     save_figure(figure, path, title)
-
-
-def _plot_errors(top: Axes, bottom: Axes, times: np.ndarray, errors: dict[str, np.ndarray]) -> None:
-    """Both errors, centimetres, and below their parts that change fast."""
-    for (name, values), style in zip(errors.items(), (MARKERS_ONLY, WITH_VIDEO), strict=True):
-        top.plot(times, values, label=f"{name}: mean {_mean(values):.1f} cm", **style)
-        bottom.plot(times, high_pass(times, values), **style)
-    # Above the panel, where it hides no curve.
-    top.legend(
-        loc="lower center", bbox_to_anchor=(0.5, 0.98), frameon=False, ncols=2, fontsize="small"
-    )
-    bottom.axhline(0, color="#888888", linewidth=0.6)
-
-
-def _plot_reduction(axes: Axes, times: np.ndarray, reduction: np.ndarray) -> None:
-    """By how much video reduces the error: green where it does, red where it adds to it."""
-    axes.fill_between(times, 0, np.maximum(reduction, 0), color="#2e7d32", alpha=0.35, linewidth=0)
-    axes.fill_between(times, 0, np.minimum(reduction, 0), color="#c62828", alpha=0.35, linewidth=0)
-    axes.plot(times, reduction, color="#222222", linewidth=1.0)
-    axes.axhline(0, color="#888888", linewidth=0.6)
 
 
 def _mean(values: np.ndarray) -> float:

@@ -27,31 +27,24 @@ def format_table(errors: Errors, before: Errors | None = None) -> str:
     rows = [
         ["joint", *(heading for heading, *_ in COLUMNS.values())],
         ["", *(unit for _, unit, *_ in COLUMNS.values())],
-        *([name, *_cells(figures)] for name, figures in _by_row(errors).items()),
     ]
+    for name, figures in _by_row(errors).items():
+        cells = (_number(figures[key], *how) for key, (_, _, *how) in COLUMNS.items())
+        rows.append([name, *cells])
     if before is not None:
         rows[0] += ["before", "improved"]
         rows[1] += ["cm", "%"]
         old = _by_row(before)
         for row, (name, figures) in zip(rows[2:], _by_row(errors).items(), strict=True):
-            row += _improvement(old.get(name, {}).get("mean_m"), figures["mean_m"])
+            mean, now = old.get(name, {}).get("mean_m"), figures["mean_m"]
+            gain = 1 - now / mean if mean and now is not None else None
+            row += [_number(mean, 100, 2), _number(gain, 100, 0)]
     return _aligned(rows)
 
 
 def _by_row(errors: Errors) -> dict[str, dict]:
     figures = errors.as_dict()
     return figures["joints"] | {"mean": figures["mean_over_joints"]}
-
-
-def _cells(figures: dict) -> list[str]:
-    return [
-        _number(figures[key], factor, digits) for key, (_, _, factor, digits) in COLUMNS.items()
-    ]
-
-
-def _improvement(before: float | None, after: float | None) -> list[str]:
-    gain = 1 - after / before if before and after is not None else None
-    return [_number(before, 100, 2), _number(gain, 100, 0)]
 
 
 def _number(value: float | None, factor: float, digits: int) -> str:
