@@ -162,7 +162,8 @@ def thigh_spreads(
         far = (hip[2] - legs.heights) / length
         low = far >= min(SPREAD_FROM, far[-1])
         # Flesh is not in the middle of the bone: as far off as in the generic surface.
-        grid = _grid(surface, rest_nodes(surface, joints), f"leg_{side}")
+        patch = next(patch for patch in surface.patches if patch.name == f"leg_{side}")
+        grid = patch.grid(rest_nodes(surface, joints))
         rest = joints[skeleton.tree.bone(f"femur_{side}")]
         levels = rest[2] - grid[1:-1, 0, 2]
         off = (grid[1:-1, :, 1].max(1) + grid[1:-1, :, 1].min(1)) / 2 - rest[1]
@@ -220,12 +221,6 @@ def arm_angles(bones: ArmBones, sign: float, straight: bool) -> dict[str, float]
         "arm_rot": -sign * turn,
         "elbow_flex": bend,
     }
-
-
-def _grid(surface: Surface, nodes: np.ndarray, name: str) -> np.ndarray:
-    """(along, around, 3) nodes of a patch."""
-    patch = next(patch for patch in surface.patches if patch.name == name)
-    return patch.grid(nodes)
 
 
 def _nodes(

@@ -96,13 +96,7 @@ def _leg(
     right, left = ((legs.across[:, k] - bone[:, None]) * np.cos(spread)).T
     inner, outer = (right, left) if sign > 0 else (-left, -right)
     back, front = (legs.deep - hip[0]).T
-    corners = np.stack(
-        [
-            np.stack([ahead, out], -1)
-            for ahead, out in ((front, outer), (back, outer), (back, inner), (front, inner))
-        ],
-        1,
-    )
-    corners += joint[:2] * [1.0, sign]
+    ahead, out = (front, back, back, front), (outer, outer, inner, inner)
+    corners = np.stack([ahead, out], -1).swapaxes(0, 1) + joint[:2] * [1.0, sign]
     outlines = np.stack([superellipse_ring(each, THIGH_FULLNESS) for each in corners])
     return BodySlices(joint[2] - down / np.cos(spread), outlines, (NEVER, THIGH_FADE_M))

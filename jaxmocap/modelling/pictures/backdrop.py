@@ -10,8 +10,6 @@ INPUTS: a photograph (H, W, 3), BGR uint8.
 OUTPUTS: the person's mask; a PhotographError, with a picture that shows why, where there is none.
 """
 
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 
@@ -63,18 +61,6 @@ class PhotographError(ValueError):
         return self.problem
 
 
-class BackdropDifference(NamedTuple):
-    """How an image differs from its backdrop.
-
-    Attributes:
-        brightness: (H, W) factor by which it is brighter.
-        chromaticity: (H, W) what is left then, as a share of the backdrop's colour.
-    """
-
-    brightness: np.ndarray
-    chromaticity: np.ndarray
-
-
 def person_mask(photograph: np.ndarray) -> np.ndarray:
     """(H, W) bool, the pixels that show the person.
 
@@ -85,11 +71,11 @@ def person_mask(photograph: np.ndarray) -> np.ndarray:
     image = cv2.GaussianBlur(photograph, (0, 0), BLUR_PX).astype(np.float32)
     samples = border(image.shape[:2])
     surface = smooth_surface(image, samples)
-    different = backdrop_difference(image, surface)
-    dark, bright, chroma = thresholds(different, samples, photograph)
-    foreground = (different.chromaticity > chroma) | (different.brightness > bright)
-    foreground |= different.brightness < dark
-    mask = largest_piece(foreground)
+    square = np.sum(surface * surface, -1)
+    brightness = np.sum(image * surface, -1) / square
+    left = np.linalg.norm(image - brightness[..., None] * surface, axis=-1) / np.sqrt(square)
+    dark, bright, chroma = thresholds(brightness, left, samples, photograph)
+    mask = largest_piece((left > chroma) | (brightness > bright) | (brightness < dark))
     _check(mask, photograph)
     return largest_piece(half_covered(mask, image, surface))
 
@@ -130,23 +116,21 @@ def _quadratic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1)
 
 
-def backdrop_difference(image: np.ndarray, surface: np.ndarray) -> BackdropDifference:
-    """An image against the backdrop's colours (H, W, 3)."""
-    square = np.sum(surface * surface, -1)
-    factor = np.sum(image * surface, -1) / square
-    left = np.linalg.norm(image - factor[..., None] * surface, axis=-1)
-    return BackdropDifference(factor, left / np.sqrt(square))
-
-
 def thresholds(
-    different: BackdropDifference, samples: np.ndarray, photograph: np.ndarray
+    brightness: np.ndarray, left: np.ndarray, samples: np.ndarray, photograph: np.ndarray
 ) -> tuple[float, float, float]:
     """Darkest and brightest factor, and largest chromaticity, of the backdrop.
+
+    Args:
+        brightness: (H, W) factor by which the image is brighter than its backdrop.
+        left: (H, W) chromaticity: what is left then, as a share of the backdrop's colour.
+        samples: (H, W) bool, of the backdrop.
+        photograph: for the error's picture.
 
     Raises:
         PhotographError: the samples differ too much among themselves.
     """
-    off, left = np.abs(different.brightness - 1), different.chromaticity
+    off = np.abs(brightness - 1)
     # Either is about one deviation of what most samples do.
     spread = [1.48 * float(np.median(v[samples])) for v in (off, left)]
     near_off, near_left = np.clip(spread, LEAST_UNEVEN, MOST_UNEVEN)
