@@ -10,7 +10,7 @@ the frames' times, world, metres, Z up; ``truth_angles.npz`` with elbows and kne
 ``truth_masks.npz`` with the person's true pixels, which ``read_masks`` reads.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -147,9 +147,13 @@ def write_four_cameras(
     directory.mkdir(parents=True, exist_ok=True)
     views = cameras_around(performer, seconds)
     for i, view in enumerate(views):
-        frames = render_frames(view.scene(performer, seed), times)
-        counted = _counted(frames, progress, i * len(times), len(views) * len(times))
-        write_video(directory / f"{view.name}.mp4", counted)
+
+        def count(done: int, total: int, before: int = i * len(times)) -> None:
+            if progress:
+                progress(before + done, len(views) * total)
+
+        frames = render_frames(view.scene(performer, seed), times, count)
+        write_video(directory / f"{view.name}.mp4", frames)
     write_truth(directory, performer, times, views)
     write_calibration(directory / "calibration.toml", {view.name: view.camera for view in views})
     videos = [{"file": f"{view.name}.mp4", "camera": view.name} for view in views]
@@ -200,12 +204,3 @@ def read_masks(path: str | Path, size: tuple[int, int] = (640, 480)) -> dict[str
         name: np.unpackbits(mask, axis=-1, count=width).astype(bool)
         for name, mask in arrays.read(dict.fromkeys(arrays.names, packed)).items()
     }
-
-
-def _counted(
-    frames: Iterator[np.ndarray], progress: Progress | None, before: int, total: int
-) -> Iterator[np.ndarray]:
-    for i, frame in enumerate(frames, 1):
-        yield frame
-        if progress:
-            progress(before + i, total)

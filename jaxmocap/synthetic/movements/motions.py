@@ -29,13 +29,9 @@ MIDDLE_SWIVEL_DEG = (28.0, 42.0)
 HIGH_SWIVEL_DEG = (94.0, 97.0)
 
 READY = Posture(
-    pelvis=(-0.02, 0.0, -0.04),
-    pitch=5,
-    flexion=7,
-    gaze=(0, -2),
-    reach_l=(0.63, 0.13, -0.55),
+    pelvis=(-0.02, 0.0, -0.04), pitch=5, flexion=7, gaze=(0, -2), reach_l=(0.63, 0.13, -0.55),
     reach_r=(0.65, 0.17, -0.53),
-)
+)  # fmt: skip
 STANDING = Posture(
     pelvis=(0.0, 0.0, -0.01), reach_l=(0.37, 0.21, -0.79), reach_r=(0.37, 0.21, -0.79)
 )
@@ -49,87 +45,40 @@ STRETCHED_REACH = (0.82, 0.90)
 FIST_DROP = 0.33
 # A stroke: key postures at seconds from its start. Wrists in arm lengths: forward, out, up.
 _BACKSWING = replace(
-    READY,
-    pelvis=(-0.03, -0.03, -0.07),
-    yaw=-9,
-    twist=-13,
-    bend=5,
-    reach_l=(0.76, 0.16, -0.26),
-    reach_r=(-0.02, 0.65, -0.55),
-    wrist_r=(-8, 15),
-)
+    READY, pelvis=(-0.03, -0.03, -0.07), yaw=-9, twist=-13, bend=5, reach_l=(0.76, 0.16, -0.26),
+    reach_r=(-0.02, 0.65, -0.55), wrist_r=(-8, 15),
+)  # fmt: skip
 _DRIVE = replace(
-    READY,
-    pelvis=(-0.01, 0.02, -0.05),
-    yaw=2,
-    twist=3,
-    reach_l=(0.58, 0.42, -0.47),
-    reach_r=(0.76, 0.38, -0.29),
-    wrist_r=(4, 20),
-)
+    READY, pelvis=(-0.01, 0.02, -0.05), yaw=2, twist=3, reach_l=(0.58, 0.42, -0.47),
+    reach_r=(0.76, 0.38, -0.29), wrist_r=(4, 20),
+)  # fmt: skip
 _OVER = replace(
-    READY,
-    pelvis=(0.01, 0.03, -0.04),
-    yaw=6,
-    twist=10,
-    bend=-3,
-    reach_l=(0.42, 0.47, -0.58),
-    reach_r=(0.78, -0.19, 0.21),
-    wrist_r=(10, 25),
-)
+    READY, pelvis=(0.01, 0.03, -0.04), yaw=6, twist=10, bend=-3, reach_l=(0.42, 0.47, -0.58),
+    reach_r=(0.78, -0.19, 0.21), wrist_r=(10, 25),
+)  # fmt: skip
 _COIL = replace(
-    READY,
-    pelvis=(-0.03, 0.02, -0.07),
-    yaw=3,
-    twist=7,
-    flexion=10,
-    reach_l=(0.53, 0.26, -0.61),
-    reach_r=(0.58, -0.32, -0.44),
-    wrist_r=(10, -15),
-)
+    READY, pelvis=(-0.03, 0.02, -0.07), yaw=3, twist=7, flexion=10, reach_l=(0.53, 0.26, -0.61),
+    reach_r=(0.58, -0.32, -0.44), wrist_r=(10, -15),
+)  # fmt: skip
 _PUNCH = replace(
     READY, twist=2, reach_l=(0.44, 0.37, -0.61), reach_r=(0.84, 0.06, -0.21), wrist_r=(0, -5)
 )
 _OPEN = replace(
-    READY,
-    yaw=-5,
-    twist=-9,
-    flexion=6,
-    reach_l=(0.37, 0.44, -0.63),
-    reach_r=(0.69, 0.50, 0.11),
+    READY, yaw=-5, twist=-9, flexion=6, reach_l=(0.37, 0.44, -0.63), reach_r=(0.69, 0.50, 0.11),
     wrist_r=(-10, 5),
-)
+)  # fmt: skip
 _PALM = replace(
-    READY,
-    yaw=-9,
-    twist=-7,
-    flexion=9,
-    gaze=(8, -4),
-    reach_l=(0.63, -0.11, -0.53),
+    READY, yaw=-9, twist=-7, flexion=9, gaze=(8, -4), reach_l=(0.63, -0.11, -0.53),
     reach_r=(0.47, 0.55, -0.42),
-)
+)  # fmt: skip
 _TOSS = replace(
-    READY,
-    pelvis=(-0.02, -0.02, -0.02),
-    yaw=-10,
-    twist=-11,
-    flexion=4,
-    gaze=(10, -14),
-    reach_l=(0.73, 0.00, 0.38),
-    reach_r=(0.11, 0.80, -0.11),
-    wrist_r=(-12, 20),
-)
+    READY, pelvis=(-0.02, -0.02, -0.02), yaw=-10, twist=-11, flexion=4, gaze=(10, -14),
+    reach_l=(0.73, 0.00, 0.38), reach_r=(0.11, 0.80, -0.11), wrist_r=(-12, 20),
+)  # fmt: skip
 _BRUSH = replace(
-    READY,
-    pelvis=(0.0, 0.02, -0.07),
-    yaw=3,
-    twist=5,
-    flexion=12,
-    gaze=(0, 4),
-    reach_l=(0.44, 0.32, -0.63),
-    reach_r=(0.71, -0.05, -0.44),
-    wrist_r=(14, 10),
-)
+    READY, pelvis=(0.0, 0.02, -0.07), yaw=3, twist=5, flexion=12, gaze=(0, 4),
+    reach_l=(0.44, 0.32, -0.63), reach_r=(0.71, -0.05, -0.44), wrist_r=(14, 10),
+)  # fmt: skip
 STROKES: dict[str, tuple[tuple[float, Posture], ...]] = {
     "forehand": ((0.42, _BACKSWING), (0.60, _DRIVE), (0.74, _OVER)),
     "backhand": ((0.40, _COIL), (0.56, _PUNCH), (0.70, _OPEN)),
@@ -210,15 +159,9 @@ def squat(seconds: float = 5.0, seed: int = 0, height: float = 1.75) -> Performa
     """Down by 0.3 m with the trunk bowed and the arms stretched forward, and up again."""
     rng = np.random.default_rng(seed)
     down = Posture(
-        pelvis=(-0.16, 0.0, -0.305),
-        pitch=28,
-        flexion=16,
-        gaze=(0, -6),
-        reach_l=(0.68, 0.12, 0.46),
-        reach_r=(0.68, 0.12, 0.46),
-        swivel_l=48,
-        swivel_r=46,
-    )
+        pelvis=(-0.16, 0.0, -0.305), pitch=28, flexion=16, gaze=(0, -6),
+        reach_l=(0.68, 0.12, 0.46), reach_r=(0.68, 0.12, 0.46), swivel_l=48, swivel_r=46,
+    )  # fmt: skip
     upright = replace(STANDING, swivel_l=34, swivel_r=26)
     shares = (0.0, 0.12, 0.42, 0.56, 0.88, 1.0)
     postures = (upright, upright, down, replace(down, swivel_l=54), upright, upright)

@@ -7,7 +7,7 @@ INPUTS: a Figure, a random generator. OUTPUTS: a Mesh skinned to the figure's bo
 vertices are at any time of a performance.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -135,8 +135,11 @@ class _PersonMesh:
             self._limb(humerus, UPPER_ARM, self.skin),
             self._limb(radius, FOREARM, self.skin),
             self._limb(hand, HAND, self.skin, sides=12),
-            self._controller(hand),
         ]
+        bone, at, offset = MARKERS["LeftController" if side == "l" else "RightController"]
+        centre = self.rest[self.tree.bone(bone)] + at * self.figure.reach(bone) + offset
+        size, black = (0.045, 0.022, 0.024), np.full(3, 0.12)
+        bare.append(self._ball(hand, centre, size, black, exponent=4))
         if self.long_sleeves:
             upper = self._limb(humerus, LONG_SLEEVE, self.shirt, folds=0.035, sides=18)
             return [*bare, upper, self._limb(radius, CUFF, self.shirt, folds=0.04, sides=18)]
@@ -183,10 +186,8 @@ class _PersonMesh:
         names = ("hip_l", "spine1", "spine2", "spine3")
         bones = np.array([self.tree.bone(name) for name in names])
         top = self.rest[self.tree.bone("neck"), 2]
-        middles = [
-            0.0,
-            *((self.rest[b, 2] + h / 2) for b, h in zip(bones[1:], self._spine(), strict=True)),
-        ]
+        middles = [0.0]
+        middles += [self.rest[self.tree.bone(b), 2] + self.figure.length(b) / 2 for b in names[1:]]
         parts = []
         shirt = TRUNK if self.detail == 1 else LOOSE_TRUNK
         for table, colour, folds in ((shirt, self.shirt, 0.025), (PELVIS, self.trousers, 0.01)):
@@ -202,25 +203,17 @@ class _PersonMesh:
         parts[0] = self._printed(parts[0])
         return parts
 
-    def _spine(self) -> list[float]:
-        return [self.figure.length(f"spine{i}") for i in (1, 2, 3)]
-
     def _printed(self, shirt: QuadMesh) -> QuadMesh:
         """Stripes across the chest and a patch at the front."""
         middle = shirt.vertices[shirt.faces].mean(1)
         top = middle[:, 2].max()
         share = middle[:, 2] / top
         stripe = (np.abs(share - 0.62) < 0.03) | (np.abs(share - 0.50) < 0.025)
-        patch = (
-            (middle[:, 0] > 0)
-            & (np.abs(middle[:, 1] - 0.08) < 0.035)
-            & (np.abs(share - 0.76) < 0.04)
-        )
+        patch = (np.abs(middle[:, 1] - 0.08) < 0.035) & (np.abs(share - 0.76) < 0.04)
+        patch &= middle[:, 0] > 0
         colours = shirt.colours.copy()
         colours[stripe | patch] *= (self.print / self.shirt)[None]
-        return QuadMesh(
-            shirt.vertices, shirt.faces, np.clip(colours, 0, 1), shirt.bones, shirt.weights
-        )
+        return replace(shirt, colours=np.clip(colours, 0, 1))
 
     def _head(self) -> list[QuadMesh]:
         head = self.rest[self.tree.bone("head")]
@@ -239,25 +232,11 @@ class _PersonMesh:
         """A blade beyond the right fist, in the plane of the forearm's flexion."""
         hand = self.tree.bone("hand_r")
         end = self.rest[hand] + 0.6 * self.figure.reach("hand_r")
-        rubber = self._ball(
-            "hand_r",
-            end + np.array([0.05, 0, -0.115]),
-            (0.075, 0.007, 0.08),
-            np.array([0.15, 0.12, 0.70]),
-        )
-        grip = self._ball(
-            "hand_r",
-            end + np.array([0.02, 0, -0.01]),
-            (0.016, 0.014, 0.06),
-            np.array([0.35, 0.5, 0.65]),
-            exponent=4,
-        )
-        return merged_meshes([rubber, grip])
-
-    def _controller(self, hand: str) -> QuadMesh:
-        bone, at, offset = MARKERS["LeftController" if hand.endswith("l") else "RightController"]
-        centre = self.rest[self.tree.bone(bone)] + at * self.figure.reach(bone) + offset
-        return self._ball(hand, centre, (0.045, 0.022, 0.024), np.full(3, 0.12), exponent=4)
+        red, wood = np.array([0.15, 0.12, 0.70]), np.array([0.35, 0.5, 0.65])
+        blade, grip = end + np.array([0.05, 0, -0.115]), end + np.array([0.02, 0, -0.01])
+        rubber = self._ball("hand_r", blade, (0.075, 0.007, 0.08), red)
+        handle = self._ball("hand_r", grip, (0.016, 0.014, 0.06), wood, exponent=4)
+        return merged_meshes([rubber, handle])
 
     def _ball(
         self,
@@ -325,4 +304,4 @@ def _blended(part: QuadMesh, bones: np.ndarray, middles: np.ndarray) -> QuadMesh
     share = (z - middles[below]) / (middles[below + 1] - middles[below])
     carriers = np.stack([bones[below], bones[below + 1]], -1)
     weights = np.stack([1 - share, share], -1)
-    return QuadMesh(part.vertices, part.faces, part.colours, carriers, weights)
+    return replace(part, bones=carriers, weights=weights)

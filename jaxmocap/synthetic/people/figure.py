@@ -222,7 +222,8 @@ class Figure:
         rest = neck + R_chest @ self.reach(clavicle)
         towards = rest + np.einsum("tij,tj->ti", R_chest, target) - shoulder
         axis, distance = _saturated(towards, sum(lengths))
-        bend = np.einsum("tij,tj->ti", R_chest, _elbow_side(_into(R_chest, axis), out * swivel))
+        side_chest = _elbow_side(np.einsum("tji,tj->ti", R_chest, axis), out * swivel)
+        bend = np.einsum("tij,tj->ti", R_chest, side_chest)
         end = shoulder + distance * axis
         elbow = middle_joint(shoulder, end, lengths, bend)
         R_radius = _frame(elbow - end, -bend)
@@ -258,11 +259,6 @@ def _turns(axes: str, *angles: np.ndarray) -> np.ndarray:
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
-def _into(R_world_bone: np.ndarray, vectors_world: np.ndarray) -> np.ndarray:
-    """(T, 3) vectors of the world in a bone's frame."""
-    return np.einsum("tji,tj->ti", R_world_bone, vectors_world)
 
 
 def _frame(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:

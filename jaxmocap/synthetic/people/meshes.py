@@ -5,7 +5,6 @@ OUTPUTS: a Mesh; its vertices over time, world, metres.
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -81,15 +80,11 @@ def loft(
         swell: (K, sides) factors on the radii, for folds.
     """
     angles = 2 * np.pi * np.arange(sides) / sides
-    power = partial(_signed_power, exponent=2 / exponent)
-    u = radii[:, :1] * power(np.cos(angles)) * swell
-    v = radii[:, 1:] * power(np.sin(angles)) * swell
+    power, (c, s) = 2 / exponent, (np.cos(angles), np.sin(angles))
+    u = radii[:, :1] * (np.sign(c) * np.abs(c) ** power) * swell
+    v = radii[:, 1:] * (np.sign(s) * np.abs(s) ** power) * swell
     points = centres[:, None] + u[..., None] * across[0] + v[..., None] * across[1]
     return points.reshape(-1, 3)
-
-
-def _signed_power(values: np.ndarray, exponent: float) -> np.ndarray:
-    return np.sign(values) * np.abs(values) ** exponent
 
 
 def waves(

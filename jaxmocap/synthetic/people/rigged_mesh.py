@@ -152,14 +152,11 @@ class RiggedMesh(ABC):
         head = self.body.names.index("Head")
         vertex = joints[:, head] + R[:, head] @ (self.crown - self.body.rest[head])
         chest = self.body.names.index("Spine1")
-        neck = joints[:, chest] + R[:, chest] @ (self.nape - self.body.rest[chest])
+        # The base of the neck, a little above the line of the shoulders.
+        nape = (self.at("LeftArm") + self.at("RightArm")) / 4 + self.at("Neck") / 2
+        neck = joints[:, chest] + R[:, chest] @ (nape - self.body.rest[chest])
         pelvis = (points["hip_l"] + points["hip_r"]) / 2
         return {"pelvis": pelvis, "neck": neck, "vertex": vertex} | points
-
-    @cached_property
-    def nape(self) -> np.ndarray:
-        """(3,) the base of the neck, a little above the line of the shoulders, at rest, metres."""
-        return (self.at("LeftArm") + self.at("RightArm")) / 4 + self.at("Neck") / 2
 
     @cached_property
     def crown(self) -> np.ndarray:
