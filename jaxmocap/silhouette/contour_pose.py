@@ -92,14 +92,6 @@ class ContourPose(NamedTuple):
     status: Status
 
 
-class _Stage(NamedTuple):
-    """Which low-pass, -1 for the object; most cycles; what pairs count."""
-
-    level: int
-    cycles: int
-    weights: StepWeights
-
-
 class _End(NamedTuple):
     """A pose (4, 4), cycles (S,), the last step by the radius, and the contour at the pose."""
 
@@ -173,7 +165,11 @@ def solve_contour_pose(
     """
     how = settings or ContourPoseSettings()
     _check(shape, cameras, outlines, start, how)
-    kept = [_evenly(np.asarray(outline, float), how.samples) for outline in outlines]
+    kept = []
+    for outline in outlines:
+        count = min(how.samples, len(outline))
+        evenly = np.arange(count) * len(outline) // max(count, 1)
+        kept.append(np.asarray(outline, float)[evenly].reshape(-1, 2))
     rays = _rays_of(cameras, kept, how.samples)
     begun = jnp.asarray(start, rays.lines.moments.dtype)
     if isinstance(shape, RigidSurface):
@@ -221,12 +217,6 @@ def _check(
         raise ValueError(f"found a start {np.shape(start)}, expected (4, 4)")
 
 
-def _evenly(outline: np.ndarray, most: int) -> np.ndarray:
-    """At most so many pixels (Q, 2) of an outline."""
-    count = min(most, len(outline))
-    return outline[np.arange(count) * len(outline) // max(count, 1)].reshape(-1, 2)
-
-
 def _rays_of(cameras: Sequence[Camera], outlines: Sequence[np.ndarray], count: int) -> Rays:
     """Step (a); outlines of fewer pixels are padded."""
     real = np.array([np.arange(count) < len(pixels) for pixels in outlines])
@@ -238,13 +228,17 @@ def _rays_of(cameras: Sequence[Camera], outlines: Sequence[np.ndarray], count: i
     return Rays(Lines(*(jnp.stack(parts) for parts in zip(*rows, strict=True))), jnp.asarray(real))
 
 
-def _stages(levels: Sequence[int], how: ContourPoseSettings) -> list[_Stage]:
-    """Low-passes, the object, its contour free to slide, and without what lies far off."""
+def _stages(levels: Sequence[int], how: ContourPoseSettings) -> list[tuple[int, int, StepWeights]]:
+    """Low-passes, the object, its contour free to slide, and without what lies far off.
+
+    Of each which low-pass, -1 for the object; most cycles; what pairs count.
+    """
     firm = StepWeights(1.0, how.deviation, np.inf, how.damping)
     free = firm._replace(along=how.along_weight)
-    low = [_Stage(level, how.low_cycles, firm) for level in levels]
     full = (firm, free, free._replace(reach=how.reach))
-    return [*low, *(_Stage(-1, how.cycles, weights) for weights in full)]
+    return [(level, how.low_cycles, firm) for level in levels] + [
+        (-1, how.cycles, weights) for weights in full
+    ]
 
 
 def _radius(points: np.ndarray) -> float:
@@ -256,12 +250,12 @@ def _by_curve(rays: Rays, descriptors: np.ndarray, start: Array, how: ContourPos
     """All stages of a curve in one program."""
     phases = 2 * np.pi * np.arange(how.samples) / how.samples
     low = [h for h in how.harmonics if h < len(descriptors) - 1]
-    stages = _stages(range(len(low)), how)
+    levels, cycles, weights = zip(*_stages(range(len(low)), how), strict=True)
     curves = np.stack([fourier_series(descriptors, phases, h) for h in (*low, None)])
-    arrays = jax.tree.map(lambda *parts: np.array(parts, start.dtype), *(s.weights for s in stages))
-    levels, cycles = np.array([each[:2] for each in stages], np.int32).T
-    every, radius = curves[levels].astype(start.dtype), _radius(curves[-1])
-    return _through_stages(rays, every, cycles, arrays, start, radius, how.rest, how.both_ways)
+    arrays = jax.tree.map(lambda *parts: np.array(parts, start.dtype), *weights)
+    most = np.array(cycles, np.int32)
+    every, radius = curves[list(levels)].astype(start.dtype), _radius(curves[-1])
+    return _through_stages(rays, every, most, arrays, start, radius, how.rest, how.both_ways)
 
 
 @partial(jax.jit, static_argnames="both_ways")

@@ -106,7 +106,12 @@ def step_towards(
     contour = contour._replace(points=points, after=after)
     pairs = [(*nearest_points(rays.lines, contour), rays.lines, rays.real)]
     if both_ways:
-        pairs.append(_nearest_lines(rays, contour))
+        # Every point of the contours with its camera's nearest ray: (C, P) pairs.
+        squared = sum((r**2 for r in _incidences(rays.lines, contour.points)), jnp.zeros(()))
+        best = jnp.argmin(jnp.where(rays.real[..., None], squared, jnp.inf), 1)[..., None]
+        nearest = Lines(*(jnp.take_along_axis(part, best, 1) for part in rays.lines))
+        count = contour.real & jnp.any(rays.real, 1, keepdims=True)
+        pairs.append((contour.points, contour.tangents, nearest, count))
     x, tangents, lines, real = jax.tree.map(
         lambda *parts: jnp.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts]),
         *pairs,
@@ -164,15 +169,6 @@ def nearest_points(lines: Lines, contour: SpaceContour) -> tuple[Array, Array]:
     best = jnp.argmin(jnp.where(contour.real[:, None], squared, jnp.inf), -1)[..., None]
     start, end, tangents = (jnp.take_along_axis(part, best, 1) for part in contour[:3])
     return start + jnp.take_along_axis(share, best, -1) * (end - start), tangents
-
-
-def _nearest_lines(rays: Rays, contour: SpaceContour) -> tuple[Array, Array, Lines, Array]:
-    """Every point of the contours with its camera's nearest ray: (C, P) pairs, and which count."""
-    squared = sum((r**2 for r in _incidences(rays.lines, contour.points)), jnp.zeros(()))
-    best = jnp.argmin(jnp.where(rays.real[..., None], squared, jnp.inf), 1)[..., None]
-    lines = Lines(*(jnp.take_along_axis(part, best, 1) for part in rays.lines))
-    real = contour.real & jnp.any(rays.real, 1, keepdims=True)
-    return contour.points, contour.tangents, lines, real
 
 
 def _incidences(lines: Lines, points: Array) -> tuple[Array, Array, Array]:

@@ -219,7 +219,8 @@ def run_pass(
     online = {c: OnlineBackground() for c, each in enumerate(state.backgrounds) if each is None}
     for number, frame in enumerate(frames):
         if number == 0:
-            state = _settled(tracker, state, frame)
+            for _ in range(tracker.constants.settings.settling_steps):
+                state = tracker.step(state, *frame)[0]._replace(time=None, recent=())
         began = perf_counter()
         before = None if earlier is None else earlier[number]
         state, _, report = tracker.step(state, *frame, before)
@@ -227,16 +228,12 @@ def run_pass(
         cameras = dict(_camera_frames(tracker, state, report, frame.images))
         if learner is not None:
             learner.add_frame(state, report, cameras)
-        state = state._replace(backgrounds=_updated(state.backgrounds, online, cameras))
+        backgrounds = list(state.backgrounds)
+        for camera in online.keys() & cameras.keys():
+            backgrounds[camera] = online[camera].updated(*cameras[camera])
+        state = state._replace(backgrounds=tuple(backgrounds))
         progress(number + 1)
     return result
-
-
-def _settled(tracker: SilhouetteTracker, state: State, frame: FrameBundle) -> State:
-    """The state before the first frame, its pose at rest in it."""
-    for _ in range(tracker.constants.settings.settling_steps):
-        state = tracker.step(state, *frame)[0]._replace(time=None, recent=())
-    return state
 
 
 def _camera_frames(
@@ -252,15 +249,3 @@ def _camera_frames(
         if image is not None and report.used[camera]:
             here = Region(*(part[camera] for part in region))
             yield camera, CameraFrame(image, phi[camera], here, pixels[camera])
-
-
-def _updated(
-    backgrounds: Sequence[Background | None],
-    online: dict[int, OnlineBackground],
-    cameras: dict[int, CameraFrame],
-) -> tuple[Background | None, ...]:
-    """Backgrounds after a frame: those learned frame by frame include it."""
-    return tuple(
-        online[number].updated(*cameras[number]) if number in online and number in cameras else each
-        for number, each in enumerate(backgrounds)
-    )

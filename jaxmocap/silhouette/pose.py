@@ -175,7 +175,10 @@ def solve_pose(
     def iterate(carry: tuple[Array, Pose, Array]) -> tuple[Array, Pose, Array]:
         count, pose, _ = carry
         normal = _normal_equations(skeleton, pose, pairs, settings, beside, morph)
-        bounds = _room(skeleton, pose)
+        # How far each degree of freedom (6 + D,) may still go down and up.
+        endless = jnp.full(ROOT_DOF, jnp.inf, pose.angles.dtype)
+        low, high = room(skeleton.limits, pose.angles)
+        bounds = jnp.concatenate([-endless, low]), jnp.concatenate([endless, high])
         if morph is not None:
             normal = _by(followed_jacobian(morph, pose.angles), normal)
             pose = without_followers(morph, pose)
@@ -189,21 +192,16 @@ def solve_pose(
     count, last, moved = jax.lax.while_loop(
         unfinished, iterate, (jnp.zeros((), jnp.int32), pose, far)
     )
-    broken = ~jnp.isfinite(moved) | ~_is_measured(pairs, beside, pose)
+    measured = jnp.any(pairs.weights > 0)
+    if beside is not None:
+        measured = measured | jnp.any(jnp.diagonal(beside.equations(pose)[0]) > 0)
+    broken = ~jnp.isfinite(moved) | ~measured
     last = jax.tree.map(lambda new, old: jnp.where(broken, old, new), last, pose)
     end = _normal_equations(skeleton, last, pairs, settings, beside, morph)
     status = jnp.where(moved > settings.rest, Status.OUT_OF_STEPS, Status.CONVERGED)
     status = jnp.where(broken, Status.BROKEN, status).astype(jnp.int32)
     kept = end.distances, end.shares, end.spread, end.information, end.slope
     return PoseResult(last, *kept, count, status)
-
-
-def _is_measured(pairs: PointRays, beside: TermEvidence | None, pose: Pose) -> Array:
-    """Whether there is a pair, or a term that tells of the pose, at all."""
-    paired = jnp.any(pairs.weights > 0)
-    if beside is None:
-        return paired
-    return paired | jnp.any(jnp.diagonal(beside.equations(pose)[0]) > 0)
 
 
 def _normal_equations(
@@ -268,27 +266,16 @@ def _step(
     low, high = bounds
 
     def solved(stays: Array) -> Array:
-        return -_solved(H, slope, stays)
+        """-H^-1 slope among what stays, 0 elsewhere; of a unit diagonal for float32's sake."""
+        scale = jnp.where(stays, jax.lax.rsqrt(jnp.diagonal(H)), 0.0)
+        scaled = scale[:, None] * H * scale + jnp.diag(jnp.where(stays, 0.0, 1.0).astype(H.dtype))
+        factor = jax.scipy.linalg.cho_factor(scaled)
+        return -scale * jax.scipy.linalg.cho_solve(factor, scale * slope)
 
     step = step_within(solved, low, high, free, AT_LIMIT, ROUNDS)
     largest = jnp.max(jnp.abs(step))
     step = step * jnp.minimum(1.0, settings.largest_step / jnp.maximum(largest, 1e-12))
     return jnp.clip(step, low, high)
-
-
-def _solved(H: Array, slope: Array, stays: Array) -> Array:
-    """H^-1 slope among what stays, 0 elsewhere; scaled to a unit diagonal for float32's sake."""
-    scale = jnp.where(stays, jax.lax.rsqrt(jnp.diagonal(H)), 0.0)
-    scaled = scale[:, None] * H * scale + jnp.diag(jnp.where(stays, 0.0, 1.0).astype(H.dtype))
-    factor = jax.scipy.linalg.cho_factor(scaled)
-    return scale * jax.scipy.linalg.cho_solve(factor, scale * slope)
-
-
-def _room(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
-    """How far each degree of freedom (6 + D,) may still go down and up."""
-    endless = jnp.full(ROOT_DOF, jnp.inf, pose.angles.dtype)
-    low, high = room(skeleton.limits, pose.angles)
-    return jnp.concatenate([-endless, low]), jnp.concatenate([endless, high])
 
 
 def standard_deviations(

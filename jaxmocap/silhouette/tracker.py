@@ -166,7 +166,10 @@ class SilhouetteTracker:
         constants, body, s = self.constants, state.body, self.constants.settings
         images, history = state.image_history.accepted(images, s.changed_share, s.patience)
         elapsed = 0.0 if state.time is None else max(time - state.time, SHORTEST_STEP_S)
-        predicted, deviations = self._predicted(state, elapsed)
+        skeleton, velocity = body.shape.skeleton, s.damping * state.velocity
+        predicted = predicted_pose(skeleton, state.pose, velocity, np.float32(elapsed))
+        deviations = np.where(state.determined, s.predicted_deviation, s.undetermined_deviation)
+        deviations = deviations.astype(np.float32)
         beside, is_first = term_evidence(body.model, positions_world, s), state.time is None
         frame = FrameEvidence(images, state.backgrounds, state.histograms, beside, is_first)
         fitted = fit_pose(constants, body, frame, predicted, deviations)
@@ -187,14 +190,6 @@ class SilhouetteTracker:
             remembered(recent, RecentFrame(report, pose, positions_world)),
         )  # fmt: skip
         return after, pose, report
-
-    def _predicted(self, state: State, elapsed: float) -> tuple[Pose, np.ndarray]:
-        """The pose so many seconds later, and the prior's deviations (6 + D,) about it."""
-        s, velocity = self.constants.settings, self.constants.settings.damping * state.velocity
-        skeleton = state.body.shape.skeleton
-        pose = predicted_pose(skeleton, state.pose, velocity, np.float32(elapsed))
-        deviations = np.where(state.determined, s.predicted_deviation, s.undetermined_deviation)
-        return pose, deviations.astype(np.float32)
 
     def _reported(
         self, body: TrackedBody, recovered: RecoveredPose, positions_world: np.ndarray | None

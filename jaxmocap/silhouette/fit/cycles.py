@@ -118,7 +118,8 @@ def _fitted(
         outlines, used = before.outlines, before.used
     pairs, shares, used = _paired(constants, body, frame, rim, outlines, used, cycle.level)
     how = PoseSettings(deviation=cycle.deviation, iterations=s.iterations)
-    result = solve_pairs(constants, body, pose, pairs.pairs, how, prior, frame.beside)
+    skeleton, cameras, morph = body.shape.skeleton, constants.cameras, constants.finder.morph
+    result = fit(skeleton, cameras, pose, pairs.pairs, how, prior, frame.beside, morph)
     weights = pairs.pairs.weights
     distances = np.asarray(result.distances).reshape(weights.shape)
     used = used & ~disagreeing(distances, np.asarray(weights) > 0, s.disagreement, s.agreement_m)
@@ -154,20 +155,6 @@ def _paired(
     return NodePairs(matches.nodes, pairs), shares, used
 
 
-def solve_pairs(
-    constants: TrackerConstants,
-    body: TrackedBody,
-    pose: Pose,
-    pairs: ContourPairs,
-    how: PoseSettings,
-    prior: Prior,
-    beside: TermEvidence | None,
-) -> PoseResult:
-    """The pose that brings the pairs' points to their rays; see ``solve_pose``."""
-    skeleton, morph = body.shape.skeleton, constants.finder.morph
-    return fit(skeleton, constants.cameras, pose, pairs, how, prior, beside, morph)
-
-
 def information_without(
     constants: TrackerConstants,
     body: TrackedBody,
@@ -188,9 +175,8 @@ def information_without(
     flat = np.full(skeleton.costs.shape, s.predicted_deviation)
     here = combined_prior(pose, flat, constants.rest_deviations)
     beside = term_evidence(body.model, positions_world, s)
-    return solve_pairs(
-        constants, body, pose, pairs.pairs._replace(weights=weights), how, here, beside
-    )
+    visible, morph = pairs.pairs._replace(weights=weights), constants.finder.morph
+    return fit(skeleton, constants.cameras, pose, visible, how, here, beside, morph)
 
 
 def term_evidence(

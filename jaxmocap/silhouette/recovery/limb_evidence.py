@@ -101,7 +101,10 @@ class EvidenceFinder:
         left = likely & ~projected.covered(every)
         area, size = np.zeros((2, len(self._limbs)))
         for camera in np.flatnonzero(projected.used):
-            region, metre = projected.regions[camera], self._cells_to_a_metre(camera, projected)
+            region, of = projected.regions[camera], self._cameras[camera]
+            # Cells to a metre at the pelvis' depth.
+            away = max(depth(of, np.asarray(projected.pose.position)), NEAREST_M)
+            metre = float(pixels_per_metre(of, away) / region.scale)
             rows, columns = np.nonzero(left[camera])
             size += self._areas * metre**2
             if not len(rows):
@@ -116,12 +119,6 @@ class EvidenceFinder:
     def _on(self, number: int) -> np.ndarray:
         """(N,) bool: the points of a limb."""
         return np.any(self.nodes[2 * number : 2 * number + 2], 0)
-
-    def _cells_to_a_metre(self, camera: np.intp, projected: ProjectedBody) -> float:
-        """At the pelvis' depth."""
-        of, scale = self._cameras[camera], projected.regions[camera].scale
-        away = max(depth(of, np.asarray(projected.pose.position)), NEAREST_M)
-        return float(pixels_per_metre(of, away) / scale)
 
 
 @jax.jit

@@ -131,8 +131,8 @@ def _summed(
     def one(
         camera: Camera, log_ratios: Array, region: Region, appearance: LimbAppearance | None
     ) -> tuple[Array, Array, Array]:
-        bones = _project(camera, ends, radii, region)
-        return _of_camera(bones, lengths, log_ratios, appearance, likelihood)
+        sizes = radii, lengths
+        return _of_camera(camera, ends, sizes, region, log_ratios, appearance, likelihood)
 
     each = None if appearance is None else LimbAppearance(0, 0, 0, None)  # type: ignore[arg-type]
     sums = jax.vmap(one, (0, 0, 0, each))(cameras, log_ratios, region, appearance)
@@ -141,42 +141,25 @@ def _summed(
     return gained, visible, full
 
 
-class _ProjectedBones(NamedTuple):
-    """B bones on a canvas: cells, but for depths (B,) of near ends and far ends, metres.
-
-    Attributes:
-        starts: (B, 2) near ends.
-        ways: (B, 2) to the far ends.
-        radii: (B,) in metres.
-        depths: of near and far ends.
-        cells: () to a metre.
-    """
-
-    starts: Array
-    ways: Array
-    radii: Array
-    depths: tuple[Array, Array]
-    cells: Array
-
-
-def _project(
-    camera: Camera, ends: tuple[Array, Array], radii: Array, region: Region
-) -> _ProjectedBones:
-    depths = depth(camera, ends[0]), depth(camera, ends[1])
-    cells = pixels_per_metre(camera, jnp.maximum(depths[0][0], NEAREST_M)) / region.scale
-    starts, stops = ((project(camera, end) - region.origin) / region.scale - 0.5 for end in ends)
-    return _ProjectedBones(starts, stops - starts, radii, depths, cells)
-
-
 def _of_camera(
-    bones: _ProjectedBones,
-    lengths: Array,
+    camera: Camera,
+    ends: tuple[Array, Array],
+    sizes: tuple[Array, Array],
+    region: Region,
     log_ratios: Array,
     appearance: LimbAppearance | None,
     likelihood: LimbLikelihood,
 ) -> tuple[Array, Array, Array]:
-    """Of one camera: the sum of log-ratios over the limb's cells, how many, how many in full."""
-    starts, ways, radii, depths, cells = bones
+    """Of one camera: the sum of log-ratios over the limb's cells, how many, how many in full.
+
+    Of B bones the near and far ends (B, 3), world, and radii and lengths (B,), metres.
+    """
+    radii, lengths = sizes
+    depths = depth(camera, ends[0]), depth(camera, ends[1])
+    # Cells to a metre; all that follows is in cells, but for depths.
+    cells = pixels_per_metre(camera, jnp.maximum(depths[0][0], NEAREST_M)) / region.scale
+    starts, stops = ((project(camera, end) - region.origin) / region.scale - 0.5 for end in ends)
+    ways = stops - starts
     length = jnp.sqrt(jnp.sum(ways**2, -1) + 1e-6)
     aside = jnp.stack([-ways[:, 1], ways[:, 0]], -1) / length[:, None]
     along, across = (jnp.asarray(part, ways.dtype) for part in (ALONG_BONE, ACROSS_BONE))

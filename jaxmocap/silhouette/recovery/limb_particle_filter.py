@@ -37,18 +37,6 @@ FITTED_PARTICLES = 3
 DISTINCT_RAD = 0.5
 
 
-class LimbParticles(NamedTuple):
-    """Where a search begins.
-
-    Attributes:
-        angles: (P, K) of the frame before; the pose's own where the limb was in its place.
-        key: of the pseudo-random numbers: the same gives the same.
-    """
-
-    angles: Array
-    key: Array
-
-
 class LimbSearchResult(NamedTuple):
     """What a search found.
 
@@ -72,7 +60,8 @@ def search_limb(
     pose: Pose,
     limb: LimbChain,
     evidence: LimbEvidence,
-    start: LimbParticles,
+    particles: Array,
+    key: Array,
     settings: LimbSearchSettings,
     likelihood: LimbLikelihood,
 ) -> LimbSearchResult:
@@ -84,7 +73,9 @@ def search_limb(
         pose: as estimated, one hypothesis.
         limb: that may be elsewhere.
         evidence: what is to be explained.
-        start: particles.
+        particles: (P, K) angles of the frame before; the pose's own where the limb was in its
+            place.
+        key: of the pseudo-random numbers: the same gives the same.
         settings: traced.
         likelihood: static.
     """
@@ -98,14 +89,15 @@ def search_limb(
         distance = jnp.mean((angles - here) ** 2, -1) / settings.angle_deviation**2
         return gains, gains - distance / 2
 
-    left, angles, gains, scores = _layers(start, limits, settings, weigh)
+    left, angles, gains, scores = _layers(particles, key, limits, settings, weigh)
     best = distinct_particles(angles, scores)
     baseline = explained(pose, likelihood.least_visible)
     return LimbSearchResult(left, angles[best], gains[best], baseline)
 
 
 def _layers(
-    start: LimbParticles,
+    particles: Array,
+    key: Array,
     limits: Array,
     settings: LimbSearchSettings,
     weigh: Callable[[Array], tuple[Array, Array]],
@@ -113,7 +105,8 @@ def _layers(
     """Particles (P, K) after all layers; angles (N, K), gains and scores (N,) of every layer's.
 
     Args:
-        start: particles.
+        particles: (P, K) to begin with.
+        key: of the pseudo-random numbers.
         limits: (K, 2) of their angles.
         settings: of the layers.
         weigh: the gains and the scores (P,) of angles (P, K).
@@ -128,10 +121,10 @@ def _layers(
         kept = angles[systematic_resampling(drawing, weights)]
         return (kept, jnp.zeros_like(uniform_share)), (angles, gains, scores)
 
-    dtype = start.angles.dtype
+    dtype = particles.dtype
     spreads, temperatures = (jnp.asarray(part, dtype) for part in settings[1:3])
-    keys = jax.random.split(start.key, len(spreads))
-    carry = start.angles, jnp.asarray(settings.uniform_share, dtype)
+    keys = jax.random.split(key, len(spreads))
+    carry = particles, jnp.asarray(settings.uniform_share, dtype)
     (left, _), layers = jax.lax.scan(layer, carry, (keys, spreads, temperatures))
     angles, gains, scores = (jnp.concatenate(part) for part in layers)
     return left, angles, gains, scores

@@ -28,7 +28,6 @@ from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance, chromatici
 from jaxmocap.silhouette.recovery.limb_evidence import EvidenceFinder
 from jaxmocap.silhouette.recovery.limb_likelihood import LimbEvidence
 from jaxmocap.silhouette.recovery.limb_particle_filter import (
-    LimbParticles,
     LimbSearchResult,
     search_limb,
 )
@@ -221,16 +220,34 @@ class LimbRecovery:
         doubtful = is_missing | contradicted
         # Where what contradicted a limb is gone it is searched for once more, and at once.
         back = memory.contradicted & ~doubtful
-        search = _Search(memory, pose)
-        for number in range(len(self.limbs)):
+        particles, poses, moved = list(memory.particles), [pose], []
+        waits, failures = memory.waits - 1, +memory.failures
+        for number, limb in enumerate(self.limbs):
             if not doubtful[number] and not back[number]:
-                search.forget(number)
-            elif search.waits[number] <= 0 or back[number]:
-                result = self._search(number, evidence[number], memory, search.poses[0], how)
-                search.add(number, self.limbs[number], result, s)
-        poses, moved = tuple(search.poses), tuple(search.moved)
-        proposal = LimbProposal(poses, moved, s.least_gain) if moved else None
-        return proposal, search.memory(contradicted)
+                particles[number], failures[number] = None, 0
+            elif waits[number] <= 0 or back[number]:
+                result = self._search(number, evidence[number], memory, poses[0], how)
+                particles[number], baseline = np.asarray(result.particles), float(result.baseline)
+                better = np.asarray(result.gains) > baseline + s.least_gain
+                if better[0]:
+                    count = max(len(poses), int(better.sum()))
+                    poses += poses[-1:] * (count - len(poses))
+                    poses = [
+                        with_angles(each, limb, result.best[k if better[k] else 0])
+                        for k, each in enumerate(poses)
+                    ]
+                    moved.append(number)
+                elif np.max(result.gains) < baseline + s.promising_share * s.least_gain:
+                    waits[number] = min(2 ** failures[number], s.longest_wait) + 1
+                    failures[number] += 1
+        proposal = LimbProposal(tuple(poses), tuple(moved), s.least_gain) if moved else None
+        return proposal, memory._replace(
+            particles=tuple(particles),
+            waits=np.maximum(waits, 0),
+            failures=failures,
+            contradicted=contradicted,
+            frame=memory.frame + 1,
+        )
 
     def _search(
         self,
@@ -245,11 +262,8 @@ class LimbRecovery:
         if old is None:
             old = np.tile(np.asarray(pose.angles)[limb.joints], (self._particles, 1))
         key = jax.random.fold_in(jax.random.PRNGKey(memory.frame), number)
-        start = LimbParticles(jnp.asarray(old), key)
-        likelihood = self._settings.likelihood
-        return search_limb(
-            self._skeleton, self._cameras, pose, limb, evidence, start, how, likelihood
-        )
+        body, old = (self._skeleton, self._cameras), jnp.asarray(old)
+        return search_limb(*body, pose, limb, evidence, old, key, how, self._settings.likelihood)
 
     def gain(
         self,
@@ -277,47 +291,6 @@ class LimbRecovery:
         likelihood, body = self._settings.likelihood, (self._skeleton, self._cameras)
         limb = self.limbs[number]
         return float(_explained(*body, pose, limb, evidence, likelihood=likelihood, least=least))
-
-
-class _Search:
-    """What a frame's searches, limb by limb, leave."""
-
-    def __init__(self, memory: LimbMemory, pose: Pose):
-        self._memory, self._particles = memory, list(memory.particles)
-        self.waits, self._failures = memory.waits - 1, +memory.failures
-        self.poses, self.moved = [pose], []
-
-    def forget(self, number: int) -> None:
-        """A limb that is in its place."""
-        self._particles[number], self._failures[number] = None, 0
-
-    def add(
-        self, number: int, limb: LimbChain, result: LimbSearchResult, s: RecoverySettings
-    ) -> None:
-        """What the search for a limb found: poses in which it is elsewhere, or a time to wait."""
-        self._particles[number] = np.asarray(result.particles)
-        baseline, poses = float(result.baseline), self.poses
-        better = np.asarray(result.gains) > baseline + s.least_gain
-        if better[0]:
-            count = max(len(poses), int(better.sum()))
-            self.poses = [
-                with_angles(poses[min(k, len(poses) - 1)], limb, result.best[k if better[k] else 0])
-                for k in range(count)
-            ]
-            self.moved.append(number)
-        elif np.max(result.gains) < baseline + s.promising_share * s.least_gain:
-            self.waits[number] = min(2 ** self._failures[number], s.longest_wait) + 1
-            self._failures[number] += 1
-
-    def memory(self, contradicted: np.ndarray) -> LimbMemory:
-        """What to remember."""
-        return self._memory._replace(
-            particles=tuple(self._particles),
-            waits=np.maximum(self.waits, 0),
-            failures=self._failures,
-            contradicted=contradicted,
-            frame=self._memory.frame + 1,
-        )
 
 
 @jax.jit

@@ -27,24 +27,17 @@ def withdrawn(
     relocated: np.ndarray,
 ) -> tuple[RecentFrame, ...]:
     """The last frames, joints (D,) that were relocated since being hidden in them."""
-    return tuple(_without(constants, body, frame, relocated) for frame in recent)
-
-
-def _without(
-    constants: TrackerConstants, body: TrackedBody, frame: RecentFrame, relocated: np.ndarray
-) -> RecentFrame:
-    """One frame, some joints (D,) being hidden."""
-    report, pose, positions_world = frame
-    hidden, observed = report.hidden | relocated, report.observed.copy()
-    left = information_without(constants, body, hidden, pose, report.pairs, positions_world)
-    observed[ROOT_DOF:][relocated] = False
-    report = report._replace(
-        hidden=hidden,
-        observed=observed,
-        information=np.asarray(left.information),
-        slope=np.asarray(left.slope),
-    )
-    return RecentFrame(report, pose, positions_world)
+    frames = []
+    for report, pose, positions_world in recent:
+        hidden, observed = report.hidden | relocated, report.observed.copy()
+        left = information_without(constants, body, hidden, pose, report.pairs, positions_world)
+        observed[ROOT_DOF:][relocated] = False
+        information, slope = np.asarray(left.information), np.asarray(left.slope)
+        report = report._replace(
+            hidden=hidden, observed=observed, information=information, slope=slope
+        )
+        frames.append(RecentFrame(report, pose, positions_world))
+    return tuple(frames)
 
 
 def slim(report: StepReport) -> StepReport:

@@ -13,7 +13,7 @@ from jaxmocap.images.background_model import Background
 from jaxmocap.images.canvases import Canvas, attached, canvas, silhouette_distance
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import Contour
-from jaxmocap.silhouette.segmentation.contour import Contours, contours
+from jaxmocap.silhouette.segmentation.contour import contours
 from jaxmocap.silhouette.segmentation.segment import (
     CanvasImages,
     Histograms,
@@ -64,7 +64,12 @@ def find_outlines(
     """
     size, region = settings.rim.size, Region(*map(np.asarray, rim.region))
     views = [Region(*each) for each in zip(*region, strict=True)]
-    taken = [_canvas(*each, size) for each in zip(images, views, backgrounds, strict=True)]
+    nothing, black = np.zeros((size, size), np.float32), np.zeros((size, size, 3), np.uint8)
+    empty = Canvas(black, nothing, black, nothing + 1, nothing)
+    taken = [
+        empty if image is None else canvas(image, view, size, background)
+        for image, view, background in zip(images, views, backgrounds, strict=True)
+    ]
     start = np.stack([silhouette_distance(mask) for mask in rim.masks])
     canvases = CanvasImages.of(taken)
     segmentation = segment(canvases, start, before, settings.level_set, settings.plan)
@@ -79,22 +84,12 @@ def find_outlines(
         settings.level_set.largest_log_ratio,
     )  # fmt: skip
     clear = np.asarray(traced.valid) & (np.asarray(traced.contrast) > settings.contrast)
-    lines = _lines(traced, clear, images)
     share = clear.sum(1) / np.maximum(np.asarray(traced.valid).sum(1), 1)
-    return Outlines(lines, segmentation, region, share)
-
-
-def _lines(
-    traced: Contours, clear: np.ndarray, images: Sequence[np.ndarray | None]
-) -> tuple[Contour, ...]:
-    """Each camera's clear points (C, N) bool; none where there are few of them, or no image."""
+    clear &= clear.sum(1, keepdims=True) >= LEAST_POINTS
+    clear &= np.array([[image is not None] for image in images])
     points, normals = np.asarray(traced.points_xy), np.asarray(traced.normals)
-    lines = []
-    for camera, image in enumerate(images):
-        kept = clear[camera] & (image is not None)
-        kept = kept & (kept.sum() >= LEAST_POINTS)
-        lines.append(Contour(points[camera][kept], normals[camera][kept]))
-    return tuple(lines)
+    lines = tuple(Contour(points[c][on], normals[c][on]) for c, on in enumerate(clear))
+    return Outlines(lines, segmentation, region, share)
 
 
 def _sharpened(
@@ -114,13 +109,3 @@ def _sharpened(
         )
 
     return np.stack(list(_THREADS.map(one, range(len(phi)))))
-
-
-def _canvas(
-    image: np.ndarray | None, region: Region, background: Background | None, size: int
-) -> Canvas:
-    if image is None:
-        nothing = np.zeros((size, size), np.float32)
-        black = np.zeros((size, size, 3), np.uint8)
-        return Canvas(black, nothing, black, nothing + 1, nothing)
-    return canvas(image, region, size, background)

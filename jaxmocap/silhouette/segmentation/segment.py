@@ -172,7 +172,7 @@ def segment(
     if plan.background and not plan.colour:
         raise ValueError("plan.background without plan.colour: expected plan.colour = True too")
     fine = _Pixels.of(images, plan)
-    coarse = fine.halved(plan)
+    coarse = _Pixels.of(CanvasImages(*(downsampled(part) for part in fine[:5])), plan)
     phi, ratio, now = jnp.clip(start, -BAND, BAND), jnp.zeros_like(start), before
     beyond = jnp.clip(start + settings.prior_reach, -settings.prior_reach, 0.0)
     prior = settings.shape_prior * beyond / settings.prior_reach
@@ -184,11 +184,9 @@ def segment(
         ratio = _log_ratio(mixed, pixels, settings, plan)
         ratio = ratio * pixels.inside
         force = ratio + (downsampled(prior) if stage.coarse else prior)
-        width = (
-            stage.width + (stage.background_width - stage.width) * pixels.certainty
-            if plan.background
-            else stage.width
-        )
+        width = stage.width
+        if plan.background:
+            width = width + (stage.background_width - width) * pixels.certainty
         moved = evolve(here, force, settings.motion, width, stage.steps)
         phi = jnp.clip(upsampled(moved), -BAND, BAND) if stage.coarse else moved
     kept = Histograms(
@@ -210,29 +208,18 @@ class _Pixels(NamedTuple):
 
     @classmethod
     def of(cls, images: CanvasImages, plan: SegmentationPlan) -> "_Pixels":
+        """With what follows from images: bins, and the density of the background."""
         colour, background = (
             jnp.asarray(image).astype(jnp.float32) for image in (images.colour, images.background)
         )
         inside, noise, certainty = (
             jnp.asarray(a) for a in (images.inside, images.noise, images.certainty)
         )
-        return cls._with(plan, colour, inside, background, noise, certainty)
-
-    @classmethod
-    def _with(cls, plan: SegmentationPlan, colour: Array, *rest: Array) -> "_Pixels":
-        """With what follows from the rest: bins, and the density of the background."""
-        inside, background, noise, certainty = rest
         bins = (densities.joint_bins if plan.colour else densities.grey_bins)(colour)
-        density = (
-            densities.background_density(colour, background, noise)
-            if plan.background
-            else jnp.zeros(())
-        )
+        density = jnp.zeros(())
+        if plan.background:
+            density = densities.background_density(colour, background, noise)
         return cls(colour, inside, background, noise, certainty, bins, density)
-
-    def halved(self, plan: SegmentationPlan) -> "_Pixels":
-        """On cells of twice the size."""
-        return self._with(plan, *(downsampled(part) for part in self[:5]))
 
 
 def _histograms(
@@ -261,9 +248,8 @@ def _log_ratio(
     density = densities.colour_density if plan.colour else densities.grey_density
     person, rest = (densities.lookup(density(each), pixels.bins) for each in histograms)
     if plan.background:
-        empty = (
-            1 - settings.outlier_share
-        ) * pixels.background_density + settings.outlier_share * rest
+        other = settings.outlier_share
+        empty = (1 - other) * pixels.background_density + other * rest
         rest = pixels.certainty * empty + (1 - pixels.certainty) * rest
     ratio = jnp.log(person + LEAST_DENSITY) - jnp.log(rest + LEAST_DENSITY)
     return jnp.clip(ratio, -settings.largest_log_ratio, settings.largest_log_ratio)

@@ -133,8 +133,10 @@ def _moved(
     else along the way to the person's, for a background has more than one as well.
     """
     filled = mask.astype(np.uint8)
-    inner, outer = cv2.erode(filled, _disc(DEPTH_PX)), 1 - cv2.dilate(filled, _disc(DEPTH_PX))
-    near = cv2.dilate(filled, _square(outwards)) - cv2.erode(filled, _square(inwards))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * DEPTH_PX + 1,) * 2)
+    inner, outer = cv2.erode(filled, disc), 1 - cv2.dilate(filled, disc)
+    out, within = (np.ones((2 * px + 1,) * 2, np.uint8) for px in (outwards, inwards))
+    near = cv2.dilate(filled, out) - cv2.erode(filled, within)
     at = np.flatnonzero(near.view(bool))
     (person, sure), (other, free) = (_beside(channels, side, at) for side in (inner, outer))
     certainty = np.zeros(len(at), np.float32)
@@ -203,14 +205,6 @@ def _shrunk(image: np.ndarray, step: int) -> np.ndarray:
         return image
     size = (image.shape[1] // step, image.shape[0] // step)
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-
-
-def _disc(radius: int) -> np.ndarray:
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-
-
-def _square(radius: int) -> np.ndarray:
-    return np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
 
 
 def _distance(mask: np.ndarray) -> np.ndarray:

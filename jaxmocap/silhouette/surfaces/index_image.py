@@ -83,13 +83,22 @@ def body_mask(keys: np.ndarray) -> np.ndarray:
 def outer_boundary(keys: np.ndarray, mask: np.ndarray, count: int | None = None) -> Boundary:
     """The body's outline, holes between its limbs too, as a mask can show it.
 
+    A cell's node is the nearest in or beside it; cells without one are left out.
+
     Args:
         keys: (S, S) of ``index_image``.
         mask: (S, S) of ``body_mask``.
         count: of cells, at most, evenly along it; all without it.
     """
     boundary = traced_boundary(mask)
-    return _with_nodes(keys, *(boundary if count is None else subsampled(boundary, count)))
+    cells, normals = boundary if count is None else subsampled(boundary, count)
+    padded = np.pad(keys, 1, constant_values=EMPTY)
+    x, y = cells.T
+    here = padded[y + 1, x + 1]
+    beside = np.min([padded[y + dy, x + dx] for dy in range(3) for dx in range(3)], 0)
+    nodes = nodes_at(np.where(here == EMPTY, beside, here))
+    has_node = nodes >= 0
+    return Boundary(cells[has_node], nodes[has_node], normals[has_node])
 
 
 def traced_boundary(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -102,31 +111,13 @@ def traced_boundary(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not chains:
         return np.zeros((0, 2), int), np.zeros((0, 2))
     cells = np.concatenate(chains)
-    normals = np.concatenate([_chain_normals(chain) for chain in chains])
+    # OpenCV goes about a body against the clock as the image is seen, and about a hole with it.
+    x, y = np.concatenate([np.roll(c, -TANGENT, 0) - np.roll(c, TANGENT, 0) for c in chains]).T
+    normals = np.stack([-y, x], 1).astype(float)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     # Where a chain turns back on itself it has no tangent.
     kept = ((cells > 0) & (cells < len(mask) - 1)).all(1) & normals.any(1)
     return cells[kept], normals[kept]
-
-
-def _chain_normals(chain: np.ndarray) -> np.ndarray:
-    """Unit normals (n, 2) of a closed chain of cells, away from the body.
-
-    OpenCV goes about a body against the clock as the image is seen, and about a hole with it.
-    """
-    tangents = np.roll(chain, -TANGENT, 0) - np.roll(chain, TANGENT, 0)
-    normals = np.stack([-tangents[:, 1], tangents[:, 0]], 1).astype(float)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-
-
-def _with_nodes(keys: np.ndarray, cells: np.ndarray, normals: np.ndarray) -> Boundary:
-    """The boundary's cells with the nearest node in or beside each."""
-    padded = np.pad(keys, 1, constant_values=EMPTY)
-    x, y = cells.T
-    here = padded[y + 1, x + 1]
-    beside = np.min([padded[y + dy, x + dx] for dy in range(3) for dx in range(3)], 0)
-    nodes = nodes_at(np.where(here == EMPTY, beside, here))
-    has_node = nodes >= 0
-    return Boundary(cells[has_node], nodes[has_node], normals[has_node])
 
 
 def inner_boundary(

@@ -143,7 +143,11 @@ class RimTracer:
     def __init__(self, surface: Surface, settings: RimSettings):
         """Remember which nodes lie beside one another, and on which limb."""
         self._settings = settings
-        self._neighbours, self._limbs = neighbours(surface), limb_numbers(surface)
+        self._neighbours = neighbours(surface)
+        # A foot and its leg are one.
+        names = [patch.continued for patch in surface.patches]
+        numbers = np.array([names.index(name) for name in names], np.uint8)
+        self._limbs = numbers[surface.patch_of()]
 
     def rim(self, projected: ProjectedNodes) -> Rim:
         """The rims of C cameras."""
@@ -161,11 +165,8 @@ class RimTracer:
         mask = body_mask(keys)
         boundaries = [outer_boundary(keys, mask, s.outer)]
         if s.inner:
-            boundaries.append(
-                Boundary(
-                    *subsampled(inner_boundary(keys, projected.depth, s.jump, self._limbs), s.inner)
-                )
-            )
+            inner = inner_boundary(keys, projected.depth, s.jump, self._limbs)
+            boundaries.append(Boundary(*subsampled(inner, s.inner)))
         nodes, normals = np.zeros(s.outer + s.inner, int), np.zeros((s.outer + s.inner, 2))
         real = np.zeros(len(nodes), bool)
         for part, start in zip(boundaries, (0, s.outer), strict=False):
@@ -239,12 +240,6 @@ class RimFinder:
         if self.morph is None or self.morph.moves is None:
             return None
         return np.asarray(self.morph.moves)[nodes.ravel()]
-
-
-def limb_numbers(surface: Surface) -> np.ndarray:
-    """(M,) uint8 number of every node's limb; a foot and its leg are one."""
-    names = [patch.continued for patch in surface.patches]
-    return np.array([names.index(name) for name in names], np.uint8)[surface.patch_of()]
 
 
 def neighbours(surface: Surface) -> np.ndarray:
