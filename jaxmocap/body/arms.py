@@ -276,17 +276,11 @@ def turn_forearm(arms: Arms, R_turn: Array) -> tuple[Arms, Array]:
 
 
 def turn_between(arms: Arms, refined: Arms) -> Array:
-    """Rotation vectors (2, 3) between two arms' forearms, in the frame of the first."""
+    """Rotation vectors (2, 3), the shortest, between two forearms, in the frame of the first."""
     R = arms.R_world_radius
     a = rotate(R.swapaxes(1, 2), arms.elbow - arms.grip)
     b = rotate(R.swapaxes(1, 2), refined.elbow - refined.grip)
-    return _shortest_turn(a, b)
-
-
-def _shortest_turn(a: Array, b: Array) -> Array:
-    """Rotation vectors (..., 3) of the shortest turns from (..., 3) ``a`` to ``b``."""
-    a = a / jnp.sqrt(jnp.sum(a**2, -1, keepdims=True) + 1e-12)
-    b = b / jnp.sqrt(jnp.sum(b**2, -1, keepdims=True) + 1e-12)
+    a, b = (each / jnp.sqrt(jnp.sum(each**2, -1, keepdims=True) + 1e-12) for each in (a, b))
     half = jnp.concatenate([1 + jnp.sum(a * b, -1, keepdims=True), jnp.cross(a, b)], -1)
     norm = jnp.sqrt(jnp.sum(half**2, -1, keepdims=True) + 1e-12)
     return quaternion_log(half / norm)

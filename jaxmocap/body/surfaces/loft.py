@@ -86,7 +86,11 @@ def lofted_rings(
     """
     stature, phi = stature_of(skeleton), 2 * np.pi * np.arange(around) / around
     size = stature * girth ** PchipInterpolator(limb.at, limb.stout)(places)[:, None]
-    radii = size * radii_at(limb, places, phi)
+    waves = PchipInterpolator(limb.at, limb.waves)(places)
+    orders = np.arange(waves.shape[-1])[:, None] * phi
+    radii = waves[:, 0] @ np.cos(orders) + waves[:, 1] @ np.sin(orders)
+    radii[[0, -1]] = 0.0
+    radii = size * np.maximum(radii, 0.0)
     centres, cosine, sine = ring_frames(skeleton, limb, places, stature)
     shifts = size * PchipInterpolator(limb.at, limb.shifts)(places)
     ahead = radii * np.cos(phi) + shifts[:, :1]
@@ -144,15 +148,6 @@ def ring_places(skeleton: Skeleton, limb: LoftedPart, stature: float) -> np.ndar
     return np.interp(np.concatenate([[0], even, [way[-1]]]), way, fine)
 
 
-def radii_at(limb: LoftedPart, places: np.ndarray, phi: np.ndarray) -> np.ndarray:
-    """Radii (R, U) by the stature at places (R,) and angles (U,); the ends are closed."""
-    waves = PchipInterpolator(limb.at, limb.waves)(places)
-    orders = np.arange(waves.shape[-1])[:, None] * phi
-    radii = waves[:, 0] @ np.cos(orders) + waves[:, 1] @ np.sin(orders)
-    radii[[0, -1]] = 0.0
-    return np.maximum(radii, 0.0)
-
-
 def bone_shares(
     tree: Tree, limb: LoftedPart, places: np.ndarray, grid: np.ndarray, joints: np.ndarray
 ) -> np.ndarray:
@@ -205,21 +200,9 @@ def lofted_parts() -> tuple[LoftedPart, ...]:
         for end, side in sides:
             bones = tuple(bone + end for bone in row["bones"])
             above = row["above"] + end if row["above"] else ""
-            size = row["around"], row["along"]
-            parts.append(
-                LoftedPart(
-                    row["name"] + end,
-                    side,
-                    bones,
-                    above,
-                    row["reach"],
-                    *size,
-                    at,
-                    shifts,
-                    stout,
-                    waves,
-                )
-            )
+            size, rings = (row["around"], row["along"]), (at, shifts, stout, waves)
+            named = row["name"] + end, side, bones, above, row["reach"]
+            parts.append(LoftedPart(*named, *size, *rings))
     return tuple(parts)
 
 

@@ -6,8 +6,6 @@ A torso is tracked without legs and legs without arms, since what no joint moves
 than in the images. The file lists its patches (``surface``), and how far up it has one of them.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from jaxmocap.body.model_files import surface_rows_of
@@ -52,15 +50,11 @@ def surface_of_body(surface: Surface, skeleton: Skeleton, name: str) -> Surface:
             continue
         grid, share = patch.grid(nodes), shares[patch.nodes].reshape(patch.along, patch.around, -1)
         if (to := last[patch.limb]) is not None:
-            count = _rings_up_to(share, tree.chain(to))
+            # Of the rings, from the first, that those bones carry most of.
+            own = share[..., list(tree.chain(to))].sum(-1).mean(1) > 0.5
+            count = len(own) if own.all() else int(np.argmin(own))
             middle = np.broadcast_to(grid[count - 1].mean(0), grid[:1].shape)
             grid = np.concatenate([grid[:count], middle])
             share = np.concatenate([share[:count], share[count - 1 : count]])
         grids[patch.name], carried[patch.name] = grid, share
     return surface_from_rest(grids, carried, joints)
-
-
-def _rings_up_to(shares: np.ndarray, bones: Sequence[int]) -> int:
-    """How many rings, from the first, some bones carry most of."""
-    own = shares[..., list(bones)].sum(-1).mean(1) > 0.5
-    return len(own) if own.all() else int(np.argmin(own))
