@@ -5,9 +5,9 @@ OUTPUTS: optical flow of each frame to the next; at any lag, the measured flow a
 markers predict, pixels per frame.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import NamedTuple
 
 import cv2
@@ -152,7 +152,11 @@ def flow_fields(video: FrameSource, first: int, count: int) -> tuple[np.ndarray,
     scale = min(1.0, MAX_SIDE_PX / max(video.size))
     width, height = (round(side * scale) for side in video.size)
     solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    images, fields = _scaled_frames(video, first, count, (width, height)), []
+    images = (
+        image if image is None else cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+        for _, image in islice(video.frames(luma=True), first, first + count)
+    )
+    fields = []
     for last, image in pairwise(images):
         if last is None or image is None:
             flow = np.full((height, width, 2), np.nan)
@@ -160,14 +164,3 @@ def flow_fields(video: FrameSource, first: int, count: int) -> tuple[np.ndarray,
             flow = solver.calc(last, image, np.zeros((height, width, 2), np.float32))
         fields.append((flow[::STRIDE, ::STRIDE] / scale).astype(np.float16))
     return np.stack(fields), STRIDE / scale
-
-
-def _scaled_frames(
-    video: FrameSource, first: int, count: int, size: tuple[int, int]
-) -> Iterator[np.ndarray | None]:
-    """Grey frames of that width and height, None where one cannot be read."""
-    for i, (_, image) in enumerate(video.frames(luma=True)):
-        if i >= first + count:
-            return
-        if i >= first:
-            yield None if image is None else cv2.resize(image, size, interpolation=cv2.INTER_AREA)

@@ -208,11 +208,5 @@ def evaluate_directory(
             found, ours = comma_list(truth.names), comma_list(tracked.names)
             problem = f"no joint of the same name; state --match: found {found}, ours are {ours}"
             raise InputError(truth_path, problem)
-    return position_errors(
-        tracked.times,
-        tracked.points(),
-        truth.times + offset,
-        truth_world,
-        pairs,
-        sources=(path, truth_path),
-    )
+    times, both = truth.times + offset, (path, truth_path)
+    return position_errors(tracked.times, tracked.points(), times, truth_world, pairs, sources=both)

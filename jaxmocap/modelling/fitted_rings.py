@@ -86,14 +86,10 @@ def _ratios_and_shifts(
 def _polar(outlines: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middles (K, 2) of closed outlines (K, N, 2), and radii (K, U) about them at angles (U,)."""
     middles = (outlines.max(1) + outlines.min(1)) / 2
-    return middles, np.stack([_radii(o - m, phi) for o, m in zip(outlines, middles, strict=True)])
-
-
-def _radii(off: np.ndarray, phi: np.ndarray) -> np.ndarray:
-    """(U,) how far a closed outline (N, 2) about 0 is at angles (U,)."""
-    reach = np.linalg.norm(off, axis=1)
-    if reach.max() < CLOSED_M:
-        return np.zeros(len(phi))
-    angles = np.arctan2(off[:, 1], off[:, 0])
-    order = np.argsort(angles)
-    return np.interp(phi, angles[order], reach[order], period=2 * np.pi)
+    radii = np.zeros((len(outlines), len(phi)))
+    for row, off in zip(radii, outlines - middles[:, None], strict=True):
+        reach, angles = np.linalg.norm(off, axis=1), np.arctan2(off[:, 1], off[:, 0])
+        order = np.argsort(angles)
+        if reach.max() >= CLOSED_M:
+            row[:] = np.interp(phi, angles[order], reach[order], period=2 * np.pi)
+    return middles, radii

@@ -120,7 +120,13 @@ def estimate_offsets(
             markers.times, markers.positions[:, i], orientations[:, i], place, span
         )
         if still is not None and yaw is not None:
-            offset = _with_orientation(offset, orientations[_within(markers.times, still), i], yaw)
+            R_measured = orientations[_within(markers.times, still), i]
+            R_measured = R_measured[np.isfinite(R_measured.sum((1, 2)))]
+            if not len(R_measured):
+                raise ValueError(f"{place.name}: has no orientation while standing")
+            R = Rotation.from_matrix(yaw.T @ R_measured)
+            spread = float(np.degrees(np.sqrt(np.mean((R.mean().inv() * R).magnitude() ** 2))))
+            offset = replace(offset, orientation=R.mean().as_matrix(), orientation_rms=spread)
         offsets.append(offset)
     return offsets
 
@@ -215,18 +221,6 @@ def _standing_orientation(
         raise ValueError("standing still needs hands apart, to both sides of the body")
     y /= np.linalg.norm(y)
     return np.stack([np.cross(y, [0.0, 0, 1]), y, [0.0, 0, 1]], -1)
-
-
-def _with_orientation(
-    offset: DeviceOffset, orientations: np.ndarray, R_world_body: np.ndarray
-) -> DeviceOffset:
-    """With the device's orientation on its bone, from (T, 3, 3) while the bones are upright."""
-    R_measured = orientations[np.isfinite(orientations.sum((1, 2)))]
-    if not len(R_measured):
-        raise ValueError(f"{offset.place.name}: has no orientation while standing")
-    R = Rotation.from_matrix(R_world_body.T @ R_measured)
-    spread = float(np.degrees(np.sqrt(np.mean((R.mean().inv() * R).magnitude() ** 2))))
-    return replace(offset, orientation=R.mean().as_matrix(), orientation_rms=spread)
 
 
 def find_offsets(

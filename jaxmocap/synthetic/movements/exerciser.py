@@ -62,7 +62,10 @@ class Exerciser(RiggedMesh):
         """(T, 3) of the hips' middle by channels (T, 28), the lowest point as high as they say."""
         stance = KeyStance.split(channels)
         _, joints = self.chained(self._turned(stance), np.zeros((len(channels), 3)))
-        return np.append(stance.place, stance.lift - self._lowest(joints), -1)
+        soles = [joints[:, self.body.names.index(name), 2] - r for name, r in SKIN_DEPTHS_M.items()]
+        # The skin's lowest point, smooth in time.
+        lowest = -SOFT_MINIMUM_M * np.logaddexp.reduce(-np.array(soles) / SOFT_MINIMUM_M, 0)
+        return np.append(stance.place, stance.lift - lowest[:, None], -1)
 
     def rig_at(self, channels: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``rig`` by channels (T, 28), the hips' middle at places (T, 3)."""
@@ -76,31 +79,22 @@ class Exerciser(RiggedMesh):
             turned |= self._planted(turned["Hips"], shoulder, hand, side, out)
         return self.chained(turned, places)
 
-    def _lowest(self, joints: np.ndarray) -> np.ndarray:
-        """(T, 1) height of the skin's lowest point, smooth in time."""
-        soles = [joints[:, self.body.names.index(name), 2] - r for name, r in SKIN_DEPTHS_M.items()]
-        return -SOFT_MINIMUM_M * np.logaddexp.reduce(-np.array(soles) / SOFT_MINIMUM_M, 0)[:, None]
-
     def _turned(self, stance: StanceChannels) -> dict[str, np.ndarray]:
         """Joint -> its turn (T, 3, 3) from rest, where it differs from its parent's."""
-        turned = self._trunk(stance)
-        for side, out in (("Left", 1.0), ("Right", -1.0)):
-            turned |= self._leg(stance, turned["Hips"], side, out)
-            turned |= self._arm(stance, turned["Spine1"], side, out)
-        return turned
-
-    def _trunk(self, stance: StanceChannels) -> dict[str, np.ndarray]:
         hips = Rotation.from_euler("ZYX", stance.turn, degrees=True).as_matrix()
         chest = hips @ Rotation.from_euler("YXZ", stance.back, degrees=True).as_matrix()
         head = chest @ Rotation.from_euler("Y", stance.neck, degrees=True).as_matrix()
         hips, chest, head = hips @ R_FORWARD_REST, chest @ R_FORWARD_REST, head @ R_FORWARD_REST
-        bowed = {
+        turned = {
+            **{"Hips": hips, "Spine1": chest, "Head": head},
             "LowerBack": rotation_between(hips, chest, 1 / 3),
             "Spine": rotation_between(hips, chest, 2 / 3),
+            "Neck1": rotation_between(chest, head, 0.5),
         }
-        return {"Hips": hips, "Spine1": chest, "Head": head, **bowed} | {
-            "Neck1": rotation_between(chest, head, 0.5)
-        }
+        for side, out in (("Left", 1.0), ("Right", -1.0)):
+            turned |= self._leg(stance, turned["Hips"], side, out)
+            turned |= self._arm(stance, turned["Spine1"], side, out)
+        return turned
 
     def _arm(self, stance: StanceChannels, chest: np.ndarray, side: str, out: float) -> dict:
         upper, elbow = getattr(stance, f"arm_{side[0].lower()}")
