@@ -111,7 +111,7 @@ def traced_boundary(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not chains:
         return np.zeros((0, 2), int), np.zeros((0, 2))
     cells = np.concatenate(chains)
-    # OpenCV goes about a body against the clock as the image is seen, and about a hole with it.
+    # OpenCV goes about a body against the clock in the image, and about a hole with it.
     x, y = np.concatenate([np.roll(c, -TANGENT, 0) - np.roll(c, TANGENT, 0) for c in chains]).T
     normals = np.stack([-y, x], 1).astype(float)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
