@@ -296,8 +296,8 @@ class FixedLagSmoother:
             self._fading = Fading(nothing, nothing, event.time)
         self._fading = self._fading.at(event.time, FADE_S)
         offset, pose = self._fading.offset.astype(self.model.dtype), np.concatenate(event.pose)
-        held = np.isfinite(event.measured["markers"]).all(-1)
-        return unpack(np.asarray(moved_near_markers(self._person, pose, offset, held)))
+        markers = event.measured["markers"]
+        return unpack(np.asarray(moved_near_markers(self._person, pose, offset, markers)))
 
     def _shorten(self, solved: WindowEquations) -> None:
         """Condense the oldest events: the newest few video frames stay, and what still waits."""

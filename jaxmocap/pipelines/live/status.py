@@ -155,7 +155,7 @@ class LiveStatus:
             latency,
             "dropped " + ", ".join(f"{count} {what}" for what, count in dropped.items()),
             "age " + ", ".join(f"{short_name(name)} {_age(age)}" for name, age in ages.items()),
-            "elbows " + " ".join(map(_plus_minus, deviations)),
+            "elbows " + ", ".join(dict.fromkeys(map(_plus_minus, deviations))),
         ]
         end = "" if self._is_terminal else "\n"
         self._print(f"{self._clear()}{' | '.join(filter(None, shown))}{end}")

@@ -33,9 +33,11 @@ _EXPECTED_SHAPES = np.empty(2), np.empty(2), np.empty((2, 3))
 # Events per call, so that they compile once.
 EXPECTED_A_CALL = 4
 MOVED_A_CALL = 8
-# Corrections that fade in leave markers no farther from their points than this, metres: at an
-# orientation's lever two degrees.
-STRAY_M = 0.004
+# Corrections that fade in move the markers' points by no more than this, metres.
+FADED_M = 0.004
+# No point ends farther off its marker than this, metres. A limb that is pulled shakes its elbow.
+# The head's is two degrees at an orientation's lever.
+STRAY_M, HEAD_STRAY_M = 0.008, 0.004
 # Steps that bring points back, and their damping, metres: enough for a stretched arm.
 HOLDING_STEPS = 3
 HOLDING_DAMPING = 0.03
@@ -163,21 +165,25 @@ def _moved(skeleton: Skeleton, poses: Array, steps: Array) -> tuple[Array, Array
 
 
 @program("quick")
-def moved_near_markers(model: Model, pose: Array, offset: Array, held: Array) -> Array:
+def moved_near_markers(model: Model, pose: Array, offset: Array, markers_world: Array) -> Array:
     """A packed pose (7 + D,) moved by a tangent vector, its markers' points hardly.
 
     Args:
         model: M markers, D degrees of freedom.
         pose: packed.
         offset: (6 + D,) to move it by.
-        held: (M,) whether a marker's point stays within ``STRAY_M`` of where the pose has it.
+        markers_world: (M, 3) metres, to which points come as near as ``STRAY_M``. NaN where one is
+            missing; its point goes along.
     """
+    skeleton, sites = model.skeleton, model.markers
     own, there = (
-        site_positions(model.skeleton, forward(model.skeleton, each), model.markers)
+        site_positions(skeleton, forward(skeleton, each), sites)
         for each in (unpack(pose), retract(unpack(pose), offset))
     )
-    goals = own + clamp_lengths(there - own, STRAY_M)
-    goals = jnp.where(held[:, None], goals, jnp.nan)
+    of_head = np.isin(sites.bone_indices, skeleton.tree.bones_in("spine", "head"))
+    stray = jnp.where(of_head, HEAD_STRAY_M, STRAY_M)[:, None]
+    off = own + clamp_lengths(there - own, FADED_M) - markers_world
+    goals = markers_world + clamp_lengths(off, stray)
     return pack(on_markers(model, retract(unpack(pose), offset), goals))
 
 
