@@ -108,7 +108,7 @@ def causal(
         images = [None if frame < 0 else image_at(frame)]
         step = Stopwatch()
         clock.spans = {}
-        if smoother is None or smoother.asks_for(images):
+        if smoother is None:
             state, pose, report = tracker.step(state, time, markers[event], images, clock)
         else:
             state, pose, report = tracker.solve(state, markers[event], clock)
@@ -117,7 +117,7 @@ def causal(
         if smoother is not None:
             # Between the samples markers are extrapolated, which the smoother does better.
             there = markers[event] if line.sample_index[event] >= 0 else np.nan * markers[event]
-            clock.timed("smooth", smoother.step, time, there, images, pose, report)
+            clock.timed("smooth", smoother.step, time, there, images, report)
         if frame < 0:
             pace.keep("sample", total.read())
             continue

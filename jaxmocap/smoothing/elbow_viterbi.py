@@ -22,6 +22,7 @@ from scipy.spatial.distance import cdist
 from jaxmocap.body.arms import (
     TURNS,
     Arms,
+    Hung,
     arm_dofs,
     arms_of,
     bent,
@@ -77,7 +78,7 @@ def elbow_goals(problem: SmoothingProblem, trajectory: Trajectory) -> np.ndarray
     every, stay = (np.tile(each, (len(frames), 1)) for each in (np.arange(len(TURNS)), [STAY]))
     with ThreadPoolExecutor(2, thread_name_prefix="price") as workers:
         there = rows_of(trajectory.poses, frames)
-        call = partial(_candidates, problem.model, path_settings)
+        call = partial(_elbows, problem.model, path_settings)
         elbows, own = in_batches(call, (there,), VIEWS_A_CALL, workers)
         own += _off_lines(problem, frames, elbows)
         priced = partial(_priced, *coarsely(problem, SOFTNESS), trajectory, own, workers)
@@ -139,35 +140,46 @@ def _side(arms: Arms, side: int | Array) -> Arms:
     return jax.tree.map(lambda part: part[side], arms)
 
 
-def _turned(arms: Arms) -> tuple[Arms, Array]:
+def _turned(arms: Arms, turns: Array | np.ndarray = TURNS) -> tuple[Arms, Array]:
     """Candidates (2, K) of both arms, and by how much (2, K) their shoulders give way."""
 
     def of_turn(arm: Arms, turn: Array) -> tuple[Arms, Array]:
         R = arm.R_world_radius
         return turn_forearm(arm, compose(compose(R, exp(turn)), R.T))
 
-    turns = jnp.asarray(TURNS, arms.elbow.dtype)
+    turns = jnp.asarray(turns, arms.elbow.dtype)
     return jax.vmap(jax.vmap(of_turn, (None, 0)), (0, None))(arms, turns)
 
 
-@jax.jit
-def _candidates(model: Model, settings: ElbowPathSettings, poses: Pose) -> tuple[Array, Array]:
-    """Elbows (B, 2, K, 3) of a batch of poses, and what they cost by themselves (B, 2, K)."""
+def turned_angles(hung: Hung, turns: Array | np.ndarray = TURNS) -> Array:
+    """Joint angles (2, K, 4), shoulder to elbow, of both arms' candidates by turns (K, 3)."""
+    arms, _ = _turned(hung.arms, turns)
+    sides = [jax.vmap(partial(bent, hung, side))(_side(arms, side)) for side in range(2)]
+    return jnp.stack(sides)
+
+
+def candidates(model: Model, settings: ElbowPathSettings, poses: Pose) -> tuple[Arms, Array]:
+    """Arms (B, 2, K) of a batch of poses, and what they cost by themselves (B, 2, K), nats."""
     skeleton = model.skeleton
     dofs = arm_dofs(skeleton.tree)
     ranges, usual = skeleton.limits[dofs], skeleton.usual_deviations[dofs]
 
-    def of_pose(pose: Pose) -> tuple[Array, Array]:
+    def of_pose(pose: Pose) -> tuple[Arms, Array]:
         hung = hang(skeleton, pose, model.grips)
-        arms, slack = _turned(hung.arms)
-        sides = [jax.vmap(partial(bent, hung, side))(_side(arms, side)) for side in range(2)]
-        angles = jnp.stack(sides)
+        (arms, slack), angles = _turned(hung.arms), turned_angles(hung)
         away = (angles - skeleton.relaxed[dofs][:, None]) / usual[:, None]
         beyond = beyond_limits(ranges[:, None], angles) / settings.beyond_range
         slack = slack / settings.shoulder_slack
-        return arms.elbow, (jnp.sum(away**2 + beyond**2, -1) + slack**2) / 2
+        return arms, (jnp.sum(away**2 + beyond**2, -1) + slack**2) / 2
 
     return jax.vmap(of_pose)(poses)
+
+
+@jax.jit
+def _elbows(model: Model, settings: ElbowPathSettings, poses: Pose) -> tuple[Array, Array]:
+    """Elbows (B, 2, K, 3) of ``candidates``, and their own costs."""
+    arms, costs = candidates(model, settings, poses)
+    return arms.elbow, costs
 
 
 def _priced(

@@ -8,15 +8,12 @@ does not jump (``fading``).
     state = tracker.init(markers)
     smoother = FixedLagSmoother(tracker.model, settings.smoothing)
     for time, markers, image in ...:  # NaN and None where there is nothing new
-        if smoother.asks_for([image]):
-            state, pose, report = tracker.step(state, time, markers, [image])
-        else:
-            state, pose, report = tracker.solve(state, markers)
-        for final in smoother.step(time, markers, [image], pose, report):
+        state, _, report = tracker.solve(state, markers)
+        for final in smoother.step(time, markers, [image], report):
             ...  # final.number, final.time, final.pose, final.deviations
     last = smoother.flush()
 
-INPUTS: a tracker's steps: markers, images, poses, reports. OUTPUTS: smoothed poses, a little later.
+INPUTS: markers, images, a tracker's reports on them. OUTPUTS: smoothed poses, a little later.
 """
 
 from collections.abc import Sequence
@@ -29,7 +26,7 @@ from threadpoolctl import ThreadpoolController
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, unpack
-from jaxmocap.body.skeleton import ELBOWS
+from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearance
 from jaxmocap.smoothing.facing import RunningFacing
@@ -37,10 +34,10 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import landmark_deviations
 from jaxmocap.smoothing.window.equations import WindowEquations
 from jaxmocap.smoothing.window.events import (
+    FADED_M,
     ReportedStep,
     StepReported,
     WindowEvent,
-    any_image,
     expected_at,
     moved_near_markers,
     offsets,
@@ -62,8 +59,13 @@ MOST_WAITING = 6
 MOST_WAITING_UNSEEN = 2
 # Deviations are found at one video frame in so many, and hold until the next one.
 SURE_EVERY = 5
-# Deviation of an elbow from which the tracker's own opinion is asked for, metres.
-UNSURE_M = 0.045
+# Silhouettes err alike from frame to frame. So deviations are so many times larger than by counting
+# each frame for itself: by ten rendered players and one real person (``bench.coverage``).
+ERRS_ALIKE = 1.4
+# What the search for arms moves: elbow, wrist and hand's tip of either side.
+ARM_LANDMARKS = np.stack(
+    [landmark_rows([f"{p}_{s}" for p in ("elbow", "wrist", "hand")]) for s in "lr"]
+)
 # Time constant with which corrections fade in, seconds.
 FADE_S = 0.07
 # Events farther apart are no motion, seconds.
@@ -125,24 +127,11 @@ class FixedLagSmoother:
         self._waiting: list[ReportedStep] = []
         self._frames_since_sure, self._sure = SURE_EVERY, None
 
-    def asks_for(self, images: Sequence[np.ndarray | None] | None) -> bool:
-        """Whether the tracker is to refine an event with these images, or to solve it only.
-
-        There is something to see, and an elbow is so uncertain that the tracker's own pose might
-        be a better start.
-        """
-        if not any_image(images):
-            return False
-        if self._sure is None:
-            return True
-        return bool((np.linalg.norm(self._sure[0][ELBOWS], axis=-1) > UNSURE_M).any())
-
     def step(
         self,
         time: float,
         markers_world: np.ndarray | Array,
         images: Sequence[np.ndarray | None] | None,
-        pose: Pose,
         report: StepReported,
     ) -> list[SmoothedPose]:
         """One step of the tracker.
@@ -153,8 +142,7 @@ class FixedLagSmoother:
                 this time are better left out.
             images: a BGR (for colours to count) or grey uint8 frame per camera, None where there is
                 no new one.
-            pose: of that step.
-            report: of that step.
+            report: of the tracker's ``solve`` of these markers.
 
         Returns:
             What is final now: of no event, or of some, in order.
@@ -163,7 +151,7 @@ class FixedLagSmoother:
         last = self._last_time()
         if last is not None and (bool(report.placed) or time - last > LONGEST_GAP_S):
             final += self.flush()
-        self._waiting.append(ReportedStep(float(time), markers_world, images, pose, report))
+        self._waiting.append(ReportedStep(float(time), markers_world, images, report))
         most = MOST_WAITING if self._is_seen else MOST_WAITING_UNSEEN
         if len(self._waiting) < most and not self._waiting[-1].has_image:
             return final
@@ -193,11 +181,11 @@ class FixedLagSmoother:
         dtype, waiting, self._waiting = self.model.dtype, self._waiting, []
         alone = [stacked([step.report.marker_pose])[0].astype(dtype) for step in waiting]
         events, before = self._window.events, self._marker_pose
-        last = np.concatenate(events[-1].pose if events else waiting[0].pose).astype(dtype)
+        last = np.concatenate(events[-1].pose).astype(dtype) if events else alone[0]
         before = alone[0] if before is None else before
         expected = expected_at(self.model.skeleton, last, before, alone)
         self._marker_pose = alone[-1]
-        for step, own, there in zip(waiting, alone, expected, strict=True):
+        for step, there in zip(waiting, expected, strict=True):
             elapsed = step.time - events[-1].time if events else 0.0
             facing = self._facing.step(np.asarray(there.ahead), elapsed)
             measured = {
@@ -209,11 +197,7 @@ class FixedLagSmoother:
             }
             frames = self._frames(step.images, there.pose)
             number, self._count = self._count, self._count + 1
-            deviations = np.asarray(step.report.elbow_deviations, float)
-            looked = bool(np.isfinite(deviations).all())
-            refined = stacked([step.pose])[0].astype(dtype) if looked else None
-            about = (measured, there.pose, own, refined, deviations, frames)
-            events.append(WindowEvent(number, step.time, *about))
+            events.append(WindowEvent(number, step.time, measured, there.pose, frames))
 
     def _frames(
         self, images: Sequence[np.ndarray | None] | None, pose: Pose
@@ -267,7 +251,11 @@ class FixedLagSmoother:
             variances = self._window.variances([newest])
             each = landmark_deviations(*variances, float(self.settings.mismatch))
             self._sure, self._frames_since_sure = (each[0][0], each[1][0]), 0
-        return self._sure
+        deviations = np.hypot(ERRS_ALIKE * self._sure[0], FADED_M)
+        if self._is_seen:
+            spread = self._window.arms_spread
+            deviations[ARM_LANDMARKS] = np.hypot(deviations[ARM_LANDMARKS], spread)
+        return deviations, self._sure[1]
 
     def _due(self, final: bool) -> list[int]:
         """Which events of the window have waited long enough."""

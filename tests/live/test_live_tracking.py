@@ -55,22 +55,24 @@ class Tracker:
 
     def solve(self, state, markers_world):
         self.solved.append(markers_world)
-        return state, POSE, SimpleNamespace(placed=False, elbow_deviations=np.full(2, np.nan))
+        unknown = np.full(2, np.nan)
+        report = SimpleNamespace(placed=False, elbow_deviations=unknown, marker_pose=POSE)
+        return state, POSE, report
 
 
 class Smoother:
     """Every event is final at once."""
 
     def __init__(self, model, settings):
-        self.asks, self.times = True, []
+        self.times: list[float] = []
         self.markers: list[np.ndarray] = []
+        self.images: list[object] = []
 
-    def asks_for(self, images):
-        return self.asks
-
-    def step(self, time, markers_world, images, pose, report):
+    def step(self, time, markers_world, images, report):
         self.times.append(time)
         self.markers.append(markers_world)
+        self.images.append(images)
+        pose = report.marker_pose
         deviations = np.zeros((len(LANDMARKS), 3))
         return [SmoothedPose(len(self.times) - 1, time, pose, deviations, np.zeros(len(LANDMARKS)))]
 
@@ -131,7 +133,10 @@ def test_while_programs_compile_the_markers_poses_go_out(tracking, smooth):
     assert live.is_ready
     live.sample(sample(4 / 90))
     live.frames([frame(4.5 / 90)])
-    assert live.tracker.steps[-1][0] == pytest.approx(4.5 / 90)
+    if smooth:
+        assert live._smoother.times[-1] == pytest.approx(4.5 / 90)
+    else:
+        assert live.tracker.steps[-1][0] == pytest.approx(4.5 / 90)
 
 
 def test_what_goes_wrong_while_programs_compile_ends_the_run(tracking):
@@ -205,18 +210,14 @@ def test_smoothing_has_samples_and_frames_in_the_order_of_their_times(tracking):
     assert len(at_frames) == 20 and np.isnan(at_frames).all()
 
 
-def test_frames_are_refined_only_where_the_smoother_asks_for_it(tracking):
+def test_the_smoother_has_the_frames_and_the_tracker_the_markers_alone(tracking):
     live = tracking(smooth=True)
     live.sample(sample(0.0))
     live.frames([frame(0.01)])
+    smoother = live._smoother
     live.flush()
-    refined = len(live.tracker.steps)
-    assert refined and not live.tracker.solved
-    live._smoother.asks = False
-    live.sample(sample(0.1))
-    live.frames([frame(0.11)])
-    live.flush()
-    assert len(live.tracker.steps) == refined and len(live.tracker.solved) == 2
+    assert not live.tracker.steps and len(live.tracker.solved) == 2
+    assert [each is not None for each in smoother.images] == [False, True]
 
 
 def test_smoothing_waits_for_frames_no_longer_than_a_moment(tracking):

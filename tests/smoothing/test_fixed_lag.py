@@ -27,6 +27,7 @@ from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.window import sliding
+from jaxmocap.smoothing.window.arm_search import ArmSearch, with_arm_there
 from jaxmocap.smoothing.window.equations import (
     LinearEvent,
     SilhouetteQuadratic,
@@ -85,11 +86,10 @@ def at(poses: Pose, i: int) -> Pose:
 
 
 def report(i: int, placed: bool = False) -> StepReport:
-    """Of a step whose elbows are uncertain; markers alone would do as well."""
+    """Of the markers alone."""
     nothing = dict.fromkeys(StepReport._fields, np.zeros(()))
-    spread = np.full(2, 0.1)
     alone = at(shaking(), 0)._replace(position=shaking().position[i])
-    actual = {"marker_pose": alone, "elbow_deviations": spread, "placed": np.bool_(placed)}
+    actual = {"marker_pose": alone, "placed": np.bool_(placed)}
     return StepReport(**(nothing | actual))
 
 
@@ -101,7 +101,7 @@ def steps(
     shown = images() if shown is None else shown
     targets = markers() if targets is None else targets
     final = [
-        smoother.step(TIMES[i], targets[i], [shown[i]], at(shaking(), i), report(i, i in placed))
+        smoother.step(TIMES[i], targets[i], [shown[i]], report(i, i in placed))
         for i in range(count)
     ]
     return [*final, smoother.flush()]
@@ -180,30 +180,32 @@ def test_what_comes_later_changes_nothing_that_is_final(smoothed):
     assert np.abs(late[0] - late[1]).max() > 0.03
 
 
-def test_the_trackers_refinement_is_asked_for_where_there_is_an_image_and_an_elbow_is_unsure():
-    smoother, answers = smoother_of(), []
-    assert smoother.asks_for([images()[0]]) and not smoother.asks_for([None])
-    for i in range(12):
-        given = smoother.step(TIMES[i], markers()[i], [images()[i]], at(shaking(), i), report(i))
-        if given:
-            elbows = np.linalg.norm(given[-1].deviations[ELBOWS], axis=-1).max()
-            answers.append((elbows, smoother.asks_for([images()[i]])))
-    assert all(wanted == (elbows > fixed_lag.UNSURE_M) for elbows, wanted in answers) and answers
-    assert not smoother.asks_for(None)
+# The search --------------------------------------------------------------------------------------
 
 
-def test_events_that_were_not_refined_take_part_all_the_same(smoothed):
-    """Solved by markers alone, their deviations unknown."""
+def lost(i: int) -> StepReport:
+    """The truth, but for the right forearm: turned about its hand by a radian."""
+    pose = np.concatenate(at(truth(COUNT), i)).astype(np.float32)
+    model, turn = Model.create(PERSON, MARKERS), np.array([-1.0, 0.0, 0.0], np.float32)
+    there = with_arm_there(model, pose[None], ArmSearch(1, turn, 0.0, 0.0, np.zeros((2, 3, 3))))
+    return report(i)._replace(marker_pose=unpack(there[0]))
+
+
+def test_an_arm_that_is_lost_is_found_again():
     smoother, final = smoother_of(), []
-    unknown = np.full(2, np.nan)
     for i in range(COUNT):
-        own = report(i)
-        if i % 3:
-            own = own._replace(elbow_deviations=unknown)
-        pose = at(shaking(), i) if i % 3 == 0 else own.marker_pose
-        final += smoother.step(TIMES[i], markers()[i], [images()[i]], pose, own)
-    out = poses_of([*final, *smoother.flush()])
-    assert elbow_errors(out)[8:].mean() < 1.5 * elbow_errors(poses_of(joined(smoothed)))[8:].mean()
+        final += smoother.step(TIMES[i], markers()[i], [images()[i]], lost(i))
+    begun = jax.tree.map(lambda *parts: np.stack(parts), *(lost(i).marker_pose for i in range(8)))
+    assert elbow_errors(begun).max(1).min() > 0.15
+    found = elbow_errors(poses_of([*final, *smoother.flush()]))
+    assert found[-8:].max() < 0.05
+
+
+def test_an_arm_that_cameras_do_not_show_may_be_anywhere():
+    hidden = smoother_of({"person": 0.0, "forearms": 0.0})
+    shown, unseen = (joined(steps(smoother=own, count=14)) for own in (smoother_of(), hidden))
+    elbows = [np.linalg.norm(each[11].deviations[ELBOWS], axis=-1) for each in (shown, unseen)]
+    assert (elbows[0] < 0.5 * elbows[1]).all() and elbows[1].min() > 0.1
 
 
 # What is missing ---------------------------------------------------------------------------------
@@ -264,7 +266,7 @@ def test_a_window_over_everything_agrees_with_the_second_pass(monkeypatch):
         monkeypatch.setattr(fixed_lag, name, value)
     smoother = smoother_of(proportions=1e9, iterations=60)
     for i in range(count):
-        assert not smoother.step(TIMES[i], markers()[i], [images()[i]], at(shaking(), i), report(i))
+        assert not smoother.step(TIMES[i], markers()[i], [images()[i]], report(i))
     events = smoother._window.events
     measured, grids, start = (
         jax.tree.map(lambda *parts: np.stack(parts), *each)

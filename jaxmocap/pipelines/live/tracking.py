@@ -232,7 +232,7 @@ class LiveTracking:
     ) -> tuple[Pose, StepReport]:
         """One step of the tracker."""
         assert self._state is not None
-        if self._smoother is None or self._smoother.asks_for(images):
+        if self._smoother is None:
             return self._taken(self.tracker.step(self._state, time, markers_world, images))
         return self._taken(self.tracker.solve(self._state, markers_world))
 
@@ -273,10 +273,10 @@ class LiveTracking:
             images, arrived = self._images(event), None
             filled = self._recent_markers.at(event.time)
             measured = np.full_like(filled, np.nan)
-        pose, report = self._step(event.time, filled, images)
+        _, report = self._step(event.time, filled, images)
         self._arrivals.append((self._events, arrived))
         self._events += 1
-        return self._outputs_of(self._smoother.step(event.time, measured, images, pose, report))
+        return self._outputs_of(self._smoother.step(event.time, measured, images, report))
 
     def _outputs_of(self, given: Sequence[SmoothedPose]) -> list[Output]:
         """The poses of samples among the smoothed events."""

@@ -60,7 +60,8 @@ def stepped(
     clock: Clock,
 ) -> tuple[FirstPass, list[SmoothedPose]]:
     """Step through the events, one by one."""
-    tracker.compile_ahead()
+    if smoother is None:
+        tracker.compile_ahead()
     state, line = tracker.init(events.markers_world[0]), events.timeline
     final: list[SmoothedPose] = []
     steps, about = [], []
@@ -69,7 +70,7 @@ def stepped(
         began = perf_counter() if event else began
         own, markers = Clock(), events.markers_world[event]
         images = own.timed("decode", _images_at, line.frame_index[event], readers)
-        if smoother is None or smoother.asks_for(images):
+        if smoother is None:
             state, pose, report = tracker.step(state, time, markers, images, own)
         else:
             state, pose, report = tracker.solve(state, markers, own)
@@ -78,7 +79,7 @@ def stepped(
         if smoother is not None:
             # Between the samples markers are extrapolated, which the smoother does better.
             there = markers if line.sample_index[event] >= 0 else np.nan * markers
-            final += own.timed("smooth", smoother.step, time, there, images, pose, report)
+            final += own.timed("smooth", smoother.step, time, there, images, report)
         _keep_stages(clock, own, 1e3 * (perf_counter() - began), not event, images)
         steps.append((pose, report))
         about.append([*warnings.of_step(report), *events.image_warnings(event, images)])

@@ -74,8 +74,8 @@ def track(
         them, ``frame`` for all that a chunk took by each of its frames (``sample``: by each of its
         events, where there is none), ``first_call`` for what comes before the first event, and
         ``smooth`` for the second pass, compilation included. Causally they are the steps' own:
-        ``observe`` and ``refine`` of the frames that the smoothing asked for, ``sample`` all at
-        events without a frame, ``first_call`` has the first event, ``smooth`` is of each event
+        ``observe`` and ``refine`` where nothing is smoothed, ``sample`` all at events without a
+        frame, ``first_call`` has the first event, ``smooth`` is of each event
         with a frame. Without smoothing ``carry`` is the second call at events without a frame.
 
     Raises:

@@ -54,11 +54,6 @@ class StepReported(Protocol):
         ...
 
     @property
-    def elbow_deviations(self) -> Array:
-        """(2,) standard deviations of the elbows, metres."""
-        ...
-
-    @property
     def placed(self) -> Array:
         """Whether the body was placed again."""
         ...
@@ -70,7 +65,6 @@ class ReportedStep(NamedTuple):
     time: float
     markers_world: np.ndarray | Array
     images: Sequence[np.ndarray | None] | None
-    pose: Pose
     report: StepReported
 
     @property
@@ -215,9 +209,6 @@ class WindowEvent:
         time: seconds.
         measured: of it besides its silhouettes.
         pose: as it is now.
-        alone: of the markers, packed.
-        refined: as the tracker found it by video, packed; None where it did not look.
-        elbow_deviations: (2,) the tracker's, metres.
         frames: camera, what was measured in its frame, width and height of that.
         linear: all that it costs, about a pose near by; None before the first solve.
         step: (N,) from that pose to the present one.
@@ -228,9 +219,6 @@ class WindowEvent:
     time: float
     measured: Measurements
     pose: Pose
-    alone: np.ndarray
-    refined: np.ndarray | None
-    elbow_deviations: np.ndarray
     frames: list[tuple[int, MeasuredFrame, tuple[int, int]]]
     linear: LinearEvent | None = None
     step: np.ndarray = field(default_factory=lambda: np.zeros(0))

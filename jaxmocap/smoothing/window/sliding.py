@@ -17,7 +17,7 @@ from jax import Array
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, unpack
-from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes, silhouette_fit
@@ -26,6 +26,7 @@ from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.smoothing.linearise import frames_fit
 from jaxmocap.smoothing.settings import SmoothingSettings
+from jaxmocap.smoothing.window.arm_search import search_arms, with_arm_there
 from jaxmocap.smoothing.window.equations import (
     LinearEvent,
     MarginalPrior,
@@ -33,17 +34,16 @@ from jaxmocap.smoothing.window.equations import (
     WindowEquations,
     window_equations,
 )
-from jaxmocap.smoothing.window.events import WindowEvent, moved, offsets
+from jaxmocap.smoothing.window.events import WindowEvent, moved
 
 # Cells over which silhouettes fade.
 SOFTNESS = 0.8
-# A window that starts from the tracker's own poses is tried where that has an elbow so far away,
+# The arms are searched for at one video frame in so many. A window that starts where the search has
+# an elbow is tried where that is so far away, metres, and costs so much less; it makes so many
+# steps, and must cost as much less in the end.
+SEARCH_EVERY = 4
 RIVAL_M = 0.1
-# and is so sure of it, metres; it must cost so much less;
-RIVAL_DEVIATION_M = 0.06
 RIVAL_GAIN = 5.0
-# and no more often than every so many video frames. It makes so many steps.
-RIVAL_EVERY = 2
 RIVAL_STEPS = 3
 # Share of the events' own curvature that holds them back.
 DAMPING = 1e-3
@@ -94,6 +94,7 @@ class Window:
     Attributes:
         events: in order of time; what is appended takes part in the next solve.
         cameras: of the model, one by one.
+        arms_spread: (2, 3, 3) how far arms may be elsewhere, see ``ArmSearch``; of the last search.
     """
 
     def __init__(self, model: Model, settings: SmoothingSettings):
@@ -110,7 +111,8 @@ class Window:
         """No events, no marginal prior."""
         self.events: list[WindowEvent] = []
         self._forget()
-        self._since_rival = RIVAL_EVERY
+        self._since_search = 0
+        self.arms_spread = np.zeros((2, 3, 3))
 
     def _forget(self) -> None:
         self._marginal: MarginalPrior | None = None
@@ -230,16 +232,21 @@ class Window:
         return float(np.abs(points - np.stack(expected)).max())
 
     def _rival(self) -> WindowEquations | None:
-        """The equations of a window that starts from the tracker's poses, where that costs less.
+        """The equations of a window with an arm where the search has it, where that costs less.
 
-        None where the tracker has no other opinion, or was asked a moment ago.
+        None where there was no search, or nothing to be tried.
         """
         newest = self.events[-1]
-        self._since_rival += bool(newest.frames)
-        if self._since_rival < RIVAL_EVERY or not self._another(newest):
+        self._since_search += bool(newest.frames)
+        if not newest.frames or self._since_search < SEARCH_EVERY:
             return None
-        self._since_rival, own = 0, self._equations()
-        rival = self._from(self._refined())
+        self._since_search = 0
+        found = search_arms(self._model, self._settings, self.cameras, newest)
+        self.arms_spread = found.spread
+        if found.gain < RIVAL_GAIN or found.away < RIVAL_M:
+            return None
+        own, there = self._equations(), stacked(event.pose for event in self.events)
+        rival = self._from(with_arm_there(self._model, there, found))
         for _ in range(RIVAL_STEPS - 1):
             origins = np.stack([event.pose for event in rival.events])
             rival = self._from(moved(self._model.skeleton, origins, rival.steps(DAMPING))[0])
@@ -251,18 +258,6 @@ class Window:
             event.linear = linear
         return rival
 
-    def _refined(self) -> np.ndarray:
-        """(T, 7 + D) where the tracker has the events, or the last one before that it refined."""
-        source = next(event for event in self.events if event.refined is not None)
-        poses, before = [], []
-        for event in self.events:
-            source = event if event.refined is not None else source
-            poses.append(source.refined)
-            before.append(source.alone)
-        # As the markers' pose has moved since.
-        since = offsets(np.stack([event.alone for event in self.events]), np.stack(before))
-        return moved(self._model.skeleton, np.stack(poses), since)[0]
-
     def _from(self, poses: np.ndarray) -> WindowEquations:
         """All events about other packed poses (T, 7 + D), without a marginal prior."""
         linear = self._linear_events(self.events, poses)
@@ -270,15 +265,6 @@ class Window:
             each.silhouettes = self._drawn(event, each.pose, each.points)
         times = np.array([event.time for event in self.events])
         return window_equations(linear, times, self._acceleration, None)
-
-    def _another(self, newest: WindowEvent) -> bool:
-        """Whether the tracker has an elbow elsewhere in a frame, and is sure of it."""
-        if not newest.frames or newest.refined is None:
-            return False
-        still = np.zeros((1, len(newest.step)))
-        _, points = moved(self._model.skeleton, newest.refined[None], still)
-        apart = np.linalg.norm((points[0] - _linear(newest).points).reshape(-1, 3)[ELBOWS], axis=-1)
-        return bool(((apart > RIVAL_M) & (newest.elbow_deviations < RIVAL_DEVIATION_M)).any())
 
 
 def _linear(event: WindowEvent) -> LinearEvent:
