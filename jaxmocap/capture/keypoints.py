@@ -22,6 +22,8 @@ from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, pixels_per_metre
 
 # A detection further than this from where a landmark is predicted is not of that landmark.
 PERSON_GATE_M = 0.25
+# Nobody's points move by more than this share of their size from frame to frame.
+STEP_SHARE = 0.15
 
 
 def open_keypoints(source: VideoSource, video: FrameSource) -> Detections | None:
@@ -149,6 +151,49 @@ def select_person(
             pixels_xy[frame] = keypoints.pixels_xy[frame, person]
             confidences[frame] = keypoints.confidences[frame, person]
     return pixels_xy, confidences
+
+
+def follow_person(keypoints: Detections, first_xy: np.ndarray | None = None) -> Detections:
+    """One person's detections, from frame to frame, where nothing but the images says who it is.
+
+    Args:
+        keypoints: of F frames.
+        first_xy: (P, 2) where the person is in the first frame; without it the largest one of the
+            frame in which somebody is largest is followed, forwards and backwards.
+
+    Returns:
+        Of F frames with one person each; NaN and 0 where the person is not among those detected.
+    """
+    pixels_xy = np.where(keypoints.confidences[..., None] > 0, keypoints.pixels_xy, np.nan)
+    chosen = np.full(len(pixels_xy), -1)
+    if first_xy is None:
+        sizes = _extents(pixels_xy)
+        at, who = np.unravel_index(int(sizes.argmax()), sizes.shape)
+        chosen[at] = who
+        orders = range(int(at) + 1, len(chosen)), range(int(at) - 1, -1, -1)
+        last_xy = pixels_xy[at, who]
+    else:
+        orders, last_xy = (range(len(chosen)),), np.asarray(first_xy, float)
+    begun = last_xy
+    for order in orders:
+        last_xy = begun
+        for frame in order:
+            gate_px = STEP_SHARE * float(_extents(last_xy))
+            chosen[frame] = choose_person(pixels_xy[frame], last_xy, gate_px)
+            if chosen[frame] >= 0:
+                here = pixels_xy[frame, chosen[frame]]
+                last_xy = np.where(np.isfinite(here), here, last_xy)
+    rows, is_there = np.arange(len(chosen)), chosen >= 0
+    own_xy = np.where(is_there[:, None, None], pixels_xy[rows, chosen], np.nan)
+    sure = np.where(is_there[:, None], keypoints.confidences[rows, chosen], 0.0)
+    return replace(keypoints, pixels_xy=own_xy[:, None], confidences=sure[:, None])
+
+
+def _extents(pixels_xy: np.ndarray) -> np.ndarray:
+    """The longer sides (...) of the boxes around (..., P, 2) points, pixels; 0 without two."""
+    low = np.where(np.isnan(pixels_xy), np.inf, pixels_xy).min(-2)
+    high = np.where(np.isnan(pixels_xy), -np.inf, pixels_xy).max(-2)
+    return np.maximum(high - low, 0.0).max(-1)
 
 
 def marked_landmarks(recording: Recording, landmarks: Sequence[str], at: np.ndarray) -> np.ndarray:

@@ -92,7 +92,11 @@ class FrameSource(ABC):
 
 
 class Video(FrameSource):
-    """A video file."""
+    """A video file.
+
+    Attributes:
+        metadata: what the file says of itself, key -> text.
+    """
 
     def __init__(self, path: str | Path, offset: float = 0.0):
         """Look through the file's packets for the times, and decode until there is one image.
@@ -106,6 +110,7 @@ class Video(FrameSource):
         """
         self.name, self.path = str(path), regular_file(path)
         self.size = _UNKNOWN_SIZE
+        self.metadata: dict[str, str] = {}
         self._stamps, seconds = self._scan()
         self.times = seconds + offset
         images = (image for _, image in self.frames(luma=True) if image is not None)
@@ -137,6 +142,7 @@ class Video(FrameSource):
         stamps, unstamped = array("q"), 0
         with self._open() as container:
             stream = container.streams.video[0]
+            self.metadata = {**container.metadata, **stream.metadata}
             for packet in _packets(container, stream):
                 if packet.size and not packet.is_discard:
                     unstamped += packet.pts is None

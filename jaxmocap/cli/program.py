@@ -21,7 +21,7 @@ from jaxmocap.cli.completion import add_completion
 from jaxmocap.cli.reporting import check_report
 from jaxmocap.cli.results import convert, evaluate, retarget, view
 from jaxmocap.cli.setup import check, keypoints, offsets, scale, sync
-from jaxmocap.cli.tracking import batch, demo, live, track, warmup
+from jaxmocap.cli.tracking import batch, demo, live, track, video, warmup
 from jaxmocap.formats.files.errors import InputError, OutputError, printable, shortened
 from jaxmocap.pipelines.signals import Terminated, raised_on_sigterm
 
@@ -33,6 +33,7 @@ TERMINATED = 143  # 128 and the number of SIGTERM
 # In the order of --help.
 COMMANDS = (
     demo.COMMAND,
+    video.COMMAND,
     check.COMMAND,
     track.COMMAND,
     batch.COMMAND,

@@ -1,6 +1,7 @@
-"""The ground: ankles that no marker holds stand where the markers' own pose has them.
+"""The ground: feet that no marker holds stand on it.
 
-INPUTS: a posed body, ankles of the markers' pose. OUTPUTS: whitened residuals.
+INPUTS: a posed body; ankles of the markers' pose, or the floor at z = 0. OUTPUTS: whitened
+residuals.
 """
 
 from typing import ClassVar
@@ -12,6 +13,7 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
+from jaxmocap.solvers.robust import shortened
 
 ANKLES = landmark_rows(("ankle_l", "ankle_r"))
 
@@ -30,3 +32,21 @@ class Ground(Term):
             return jnp.zeros(0, body.landmarks.dtype)
         deviations = jnp.stack([self.place, self.place, self.height])
         return (body.landmarks[ANKLES] - measured["ankles"]) / deviations
+
+
+@settings
+class FeetOnFloor(Term):
+    """The floor, z = 0: no landmark lies below it, and the lower foot stands on it.
+
+    Unless that is far off (Student's t): somebody jumps, or lies.
+    """
+
+    errors_last: ClassVar[bool] = True
+    height: Array = traced(0.03, "of the lower foot above the floor, metres")
+    ankle: Array = traced(0.07, "height of the ankle of a foot on the floor, metres")
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(1 + L,)."""
+        heights = body.landmarks[:, 2]
+        standing = (jnp.min(heights[ANKLES]) - self.ankle)[None] / self.height
+        return jnp.concatenate([shortened(standing), jnp.minimum(heights, 0.0) / self.height])

@@ -18,9 +18,7 @@ from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.geometry.cameras import Camera, pixel_rays
-
-# Degrees of freedom: beyond some deviations a point is taken for a wrong one, and hardly pulls.
-TAILS = 5.0
+from jaxmocap.solvers.robust import shortened
 
 
 class SightLines(NamedTuple):
@@ -73,17 +71,7 @@ def line_residuals(points_world: Array, lines: SightLines, deviation: Array) -> 
     way = jnp.where(is_detected, lines.directions, 0.0)
     off = points_world[..., None, :, :] - lines.origin[..., None, :]
     across = off - jnp.sum(off * way, -1, keepdims=True) * way
-    return _with_tails(
-        jnp.where(is_detected, across * lines.confidences[..., None] / deviation, 0.0)
-    )
-
-
-def _with_tails(off: Array) -> Array:
-    """Vectors (..., 3) shortened so that their squares grow as a logarithm."""
-    ratio = jnp.sum(off**2, -1, keepdims=True) / TAILS
-    small = ratio < 1e-4
-    large = jnp.where(small, 1.0, ratio)
-    return off * jnp.sqrt(jnp.where(small, 1 - ratio / 2, jnp.log1p(large) / large))
+    return shortened(jnp.where(is_detected, across * lines.confidences[..., None] / deviation, 0.0))
 
 
 @settings

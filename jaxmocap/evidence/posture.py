@@ -19,6 +19,7 @@ from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_multiply
+from jaxmocap.solvers.robust import shortened
 
 # Where no marker holds the feet, the markers' pose faces so many times less surely.
 UNMARKED_FACING = 3.0
@@ -41,6 +42,18 @@ class RelaxedPosture(Term):
         skeleton = model.skeleton
         away = body.pose.angles - skeleton.relaxed
         return away / (self.ease * skeleton.usual_deviations)
+
+
+@settings
+class MostlyRelaxedPosture(RelaxedPosture):
+    """Most joints near ease, a few far from it: each by Student's t.
+
+    For what determines little: somebody who stands is straight, whatever the arms do.
+    """
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(D,)."""
+        return shortened(super().residual(model, body, measured)[:, None])[:, 0]
 
 
 @settings

@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from jaxmocap.body.pose import Pose
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.recovery.withdrawal import slim
@@ -35,12 +36,14 @@ class FrameBundle(NamedTuple):
     Attributes:
         time: seconds.
         images: (H, W, 3) BGR uint8 of each of C cameras, None where there is none.
-        positions_world: (M, 3) of the markers, metres; NaN where one is missing.
+        measured: besides, see ``term_evidence``.
+        expected: where key points have the person, where they do.
     """
 
     time: float
     images: Sequence[np.ndarray | None]
-    positions_world: np.ndarray
+    measured: Measurements
+    expected: Pose | None = None
 
 
 class PassSettings(NamedTuple):
@@ -220,10 +223,11 @@ def run_pass(
     for number, frame in enumerate(frames):
         if number == 0:
             for _ in range(tracker.constants.settings.settling_steps):
-                state = tracker.step(state, *frame)[0]._replace(time=None, recent=())
+                first = tracker.step(state, *frame[:3], None, frame.expected)[0]
+                state = first._replace(time=None, recent=())
         began = perf_counter()
         before = None if earlier is None else earlier[number]
-        state, _, report = tracker.step(state, *frame, before)
+        state, _, report = tracker.step(state, *frame[:3], before, frame.expected)
         result.add(frame.time, state, report, 1e3 * (perf_counter() - began))
         cameras = dict(_camera_frames(tracker, state, report, frame.images))
         if learner is not None:

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from jaxmocap.body.surfaces.morphing import Morphing
+from jaxmocap.evidence.keypoints import KeyPoints
 from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.terms import Term
 from jaxmocap.silhouette.fit.correspond import MatchSettings
 from jaxmocap.silhouette.fit.settling import SettlingSettings
+from jaxmocap.silhouette.keypoint_poses import KeypointPoseSettings
 from jaxmocap.silhouette.recovery.settings import LimbSearchSettings, RecoverySettings
 from jaxmocap.silhouette.segmentation import segment
 from jaxmocap.silhouette.segmentation.inner_edges import InnerEdgeSettings
@@ -85,6 +87,9 @@ class Settings:
         predicted_deviation: of every degree of freedom about its prediction, metres and radians.
             Pairs of one outline err alike, and count as if they did not: more freedom than this
             lets a stretched arm turn over.
+        expected_deviation: the same about where key points have the person.
+        expected_place: that of the pelvis' place where there is one camera, metres: to one, a body
+            that is 1 % too wide is as one 1 % nearer.
         undetermined_deviation: the same of one that the last frame did not determine.
         rest: factor on the skeleton's ``rest_deviations``, of joints that outlines hardly
             determine; see ``expected_pose``.
@@ -103,8 +108,9 @@ class Settings:
         limb_search: among them.
         recovery: when to search for a limb, and what to believe of it.
         smoothing: of all frames of a recording together; None leaves them as they were found.
-        terms: of evidence beside the images. Markers count where any are followed; hundreds of
-            pairs that err alike stand against each.
+        terms: of evidence beside the images. Markers count where any are followed, key points
+            where there are any; hundreds of pairs that err alike stand against each.
+        keypoint_poses: of poses by key points alone.
         least_matched_share: of a camera's rim and contour that must find a partner.
         disagreement: a camera whose pairs lie so many times as far apart as all is left out,
         agreement_m: unless they are within this.
@@ -125,6 +131,8 @@ class Settings:
     edges: InnerEdgeSettings = field(default_factory=InnerEdgeSettings)
     iterations: int = 4
     predicted_deviation: float = 0.08
+    expected_deviation: float = 0.08
+    expected_place: float = 0.01
     undetermined_deviation: float = 0.02
     rest: float = 1.0
     morphing: Morphing = field(default_factory=Morphing)
@@ -138,7 +146,10 @@ class Settings:
     limb_search: LimbSearchSettings = field(default_factory=LimbSearchSettings)
     recovery: RecoverySettings = field(default_factory=RecoverySettings)
     smoothing: PoseSmoothingSettings | None = field(default_factory=PoseSmoothingSettings)
-    terms: tuple[Term, ...] = field(default_factory=lambda: (MarkerPositions(deviation=0.003),))  # type: ignore[arg-type]
+    terms: tuple[Term, ...] = field(
+        default_factory=lambda: (MarkerPositions(deviation=0.003), KeyPoints(deviation=0.01))  # type: ignore[arg-type]
+    )
+    keypoint_poses: KeypointPoseSettings = field(default_factory=KeypointPoseSettings)
     least_matched_share: float = 0.4
     disagreement: float = 3.0
     agreement_m: float = 0.03

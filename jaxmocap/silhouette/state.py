@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.recovery.lost_limbs import LimbMemory, LimbRecovery
@@ -92,12 +93,12 @@ class RecentFrame(NamedTuple):
     Attributes:
         report: in full.
         pose: as estimated.
-        positions_world: (M, 3) of its markers, metres; None without any.
+        measured: besides its images.
     """
 
     report: StepReport
     pose: Pose
-    positions_world: np.ndarray | None
+    measured: Measurements
 
 
 class State(NamedTuple):

@@ -32,6 +32,7 @@ from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.parts import surface_of_body
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.cameras import Camera, stack_cameras
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.device_functions import predicted_pose, velocity_between
@@ -147,8 +148,9 @@ class SilhouetteTracker:
         state: State,
         time: float,
         images: Sequence[np.ndarray | None],
-        positions_world: np.ndarray | None = None,
+        measured: Measurements | None = None,
         earlier: PoseEstimate | None = None,
+        expected: Pose | None = None,
     ) -> tuple[State, Pose, StepReport]:
         """One frame of all cameras.
 
@@ -156,9 +158,10 @@ class SilhouetteTracker:
             state: after the last frame.
             time: of this one, seconds.
             images: (H, W, 3) BGR uint8 of each camera, None where there is none.
-            positions_world: (M, 3) of the markers, metres; NaN where one is missing.
+            measured: besides the images, see ``term_evidence``.
             earlier: what an earlier pass found in this frame; limbs that explain more there are
                 taken from it.
+            expected: where key points have the person; in place of the motion's prediction.
 
         Returns:
             The state, the pose and a report.
@@ -169,12 +172,14 @@ class SilhouetteTracker:
         skeleton, velocity = body.shape.skeleton, s.damping * state.velocity
         predicted = predicted_pose(skeleton, state.pose, velocity, np.float32(elapsed))
         deviations = np.where(state.determined, s.predicted_deviation, s.undetermined_deviation)
-        deviations = deviations.astype(np.float32)
-        beside, is_first = term_evidence(body.model, positions_world, s), state.time is None
+        if expected is not None:
+            predicted, deviations = expected, self._about_expected(deviations.shape)
+        deviations, measured = deviations.astype(np.float32), measured or {}
+        beside, is_first = term_evidence(body.model, measured, s), state.time is None
         frame = FrameEvidence(images, state.backgrounds, state.histograms, beside, is_first)
         fitted = fit_pose(constants, body, frame, predicted, deviations)
         recovered = recover_limbs(constants, body, state.limbs, frame, fitted, deviations, earlier)
-        report, pose, determined = self._reported(body, recovered, positions_world)
+        report, pose, determined = self._reported(body, recovered, measured)
         velocity = self._velocity(state, recovered, pose, determined, elapsed, earlier)
         if not determined.any():
             # Who is not visible for an instant moves on; for longer, comes to rest.
@@ -187,19 +192,27 @@ class SilhouetteTracker:
         after = State(
             pose, velocity, time, kept_histograms(report.used, now, state.histograms), determined,
             history, recovered.limbs, body, state.backgrounds,
-            remembered(recent, RecentFrame(report, pose, positions_world)),
+            remembered(recent, RecentFrame(report, pose, measured)),
         )  # fmt: skip
         return after, pose, report
 
+    def _about_expected(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Deviations (6 + D,) about where key points have the person."""
+        s = self.constants.settings
+        deviations = np.full(shape, s.expected_deviation)
+        if len(self.constants.cameras.size) == 1:
+            deviations[:3] = s.expected_place
+        return deviations
+
     def _reported(
-        self, body: TrackedBody, recovered: RecoveredPose, positions_world: np.ndarray | None
+        self, body: TrackedBody, recovered: RecoveredPose, measured: Measurements
     ) -> tuple[StepReport, Pose, np.ndarray]:
         """The report, its pose, and which degrees of freedom (6 + D,) are well determined."""
         s, (fitted, relocated, _, hidden, _) = self.constants.settings, recovered
         result = fitted.result
         if hidden.any():
             result = information_without(
-                self.constants, body, hidden, result.pose, fitted.pairs, positions_world
+                self.constants, body, hidden, result.pose, fitted.pairs, measured
             )
         deviations = standard_deviations(result.information, s.unknown_deviation)
         observed = deviations < s.determined_share * s.unknown_deviation

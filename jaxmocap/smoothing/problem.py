@@ -167,7 +167,7 @@ def shared_prior(
     every frame, so that many frames are no more sure of a length, or of a turn, than few.
 
     Args:
-        settings: of the smoothing.
+        settings: of the smoothing; its ``camera`` is asked for where cameras may turn.
         camera: (V,) which camera each view is of.
         trajectory: of T frames, over which the prior is spread.
     """
@@ -177,7 +177,9 @@ def shared_prior(
     cameras = len(turns_cam)
     own = np.linalg.inv(covariance_among_people(proportions.size)) * max(len(camera), 1)
     views = np.maximum(np.bincount(camera, minlength=cameras)[:cameras], 1)
-    turns = np.diag(np.repeat(views, TURN)) / np.square(float(settings.camera))
+    turns = np.diag(np.repeat(views, TURN).astype(float))
+    if cameras:
+        turns /= np.square(float(settings.camera))
     share = float(settings.proportions) / len(trajectory.poses.angles)
     weights = np.asarray(block_diag(own, turns)) * share
     x = np.concatenate([np.ravel(proportions), np.ravel(turns_cam)]).astype(float)

@@ -1,6 +1,6 @@
-"""Outliers among pairs, by how far they are off against all of them: Tukey's biweight.
+"""Outliers: pairs by how far they are off against all, Tukey's biweight; others by Student's t.
 
-INPUTS: distances. OUTPUTS: what is left of each pair's weight.
+INPUTS: distances; whitened residuals. OUTPUTS: what is left of pairs' weights; shorter residuals.
 """
 
 import jax
@@ -9,6 +9,20 @@ from jax import Array
 
 # Between the median length of a normal error in a plane and the deviation of its components.
 MEDIAN_OF_LENGTHS = 1.1774
+# Degrees of freedom of Student's t: what is off by some deviations is taken for wrong, and hardly
+# pulls.
+TAILS = 5.0
+
+
+def shortened(off: Array) -> Array:
+    """Whitened vectors (..., N) shortened so that their squares grow as Student's t has it.
+
+    That is as a logarithm, instead of without end.
+    """
+    ratio = jnp.sum(off**2, -1, keepdims=True) / TAILS
+    small = ratio < 1e-4
+    large = jnp.where(small, 1.0, ratio)
+    return off * jnp.sqrt(jnp.where(small, 1 - ratio / 2, jnp.log1p(large) / large))
 
 
 def robust_shares(

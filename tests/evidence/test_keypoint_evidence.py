@@ -34,7 +34,7 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import MemoryVideo
-from jaxmocap.evidence.keypoints import TAILS, SightLines, line_residuals, lines_of_sight
+from jaxmocap.evidence.keypoints import SightLines, line_residuals, lines_of_sight
 from jaxmocap.evidence.terms import residuals
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoints import Detections
@@ -46,6 +46,7 @@ from jaxmocap.smoothing.linearise import SmoothedPoses, smooth_poses
 from jaxmocap.smoothing.problem import SmoothingProblem
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import with_deviations
+from jaxmocap.solvers.robust import TAILS
 
 COUNT, SOFTNESS, NOISE_PX = 17, (0.8,), 3.0
 NAMES = tuple(name for name in LANDMARKS if name.rstrip("lr_") not in ("hand", "toe"))

@@ -98,14 +98,14 @@ def test_each_pass_steps_each_frame_with_what_the_one_before_it_found(monkeypatc
         def _replace(self, **_):
             return self
 
-    def step(state, time, images, markers, earlier):
+    def step(state, time, images, measured, earlier, expected):
         steps.append(earlier)
         pose = np.full(1, float(len(steps)))
         return After(pose=pose, velocity=time + np.zeros(1)), pose, Report()
 
     estimator = SimpleNamespace(estimate=lambda: (None, None))
     monkeypatch.setattr(passes, "ShapeEstimator", lambda *_: estimator)
-    frames, done = [FrameBundle(t, [None], np.zeros((0, 3))) for t in (0.0, 0.5)], []
+    frames, done = [FrameBundle(t, [None], {}) for t in (0.0, 0.5)], []
     monkeypatch.setattr(passes.PassLearner, "add_frame", lambda *_: None)
     result = run_passes(
         track_by(step), HANGING, lambda: iter(frames), 2, PassSettings(3), [None],

@@ -29,9 +29,9 @@ def step(moved: np.ndarray = NONE, hidden: np.ndarray = NONE) -> StepReport:
     )  # type: ignore[arg-type]  # fmt: skip
 
 
-def information_without(constants, body, hidden, pose, pairs, positions_world):
+def information_without(constants, body, hidden, pose, pairs, measured):
     """What is left of a frame: of its whole pairs, given the frame's pose and markers."""
-    assert pairs == "pairs" and pose == positions_world
+    assert pairs == "pairs" and pose == measured
     return SimpleNamespace(information=np.diag(1.0 * ~hidden), slope=1.0 * ~hidden)
 
 

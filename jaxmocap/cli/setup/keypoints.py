@@ -8,36 +8,17 @@ import argparse
 from pathlib import Path
 
 from jaxmocap.cli.command import Command
+from jaxmocap.cli.detector_options import add_detector, detector_of
 from jaxmocap.cli.recording_options import add_cameras, recording_of
 from jaxmocap.cli.reporting import exit_code, report
-from jaxmocap.formats.files.errors import InputError
 
-MEDIAPIPE = "mediapipe"
 FOLDER = "keypoints"
-# Seconds that a frame may take.
-MAX_TIMEOUT_S = 86400
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("recording", metavar="RECORDING.toml")
-    add(
-        "--detector",
-        metavar="NAME",
-        required=True,
-        help="mediapipe, or an RTMPose-like model as an .onnx file (pip install 'jaxmocap[onnx]')",
-    )
-    add(
-        "--python",
-        metavar="FILE",
-        help="for mediapipe: the Python of an environment that has it, such as mp/bin/python",
-    )
-    add(
-        "--detector-timeout",
-        metavar="S",
-        type=float,
-        help="seconds that mediapipe may take for a frame; default: two minutes",
-    )
+    add_detector(parser)
     add("--out", metavar="DIR", help=f"default: {FOLDER} beside the recording")
     add("--write", action="store_true", help="put the lines into the recording's file")
     add_cameras(parser, "of these cameras only")
@@ -47,7 +28,7 @@ def _run(options: argparse.Namespace) -> int:
     from jaxmocap.formats.files.toml import toml_value
     from jaxmocap.pipelines.keypoints.detect import detect_keypoints, keypoint_entries, put_into
 
-    detector, path = _detector(options), Path(options.recording)
+    detector, path = detector_of(options), Path(options.recording)
     recording = recording_of(options)
     folder = Path(options.out) if options.out else path.parent / FOLDER
     results = detect_keypoints(recording, detector, folder, progress=True)
@@ -65,26 +46,6 @@ def _run(options: argparse.Namespace) -> int:
     report(options, "\n".join(text), {"videos": figures})
     nobody = [result.camera for result in results if not result.found]
     return exit_code(options, [f"{name}: nobody was found in any frame" for name in nobody])
-
-
-def _detector(options: argparse.Namespace):
-    if options.detector == MEDIAPIPE:
-        from jaxmocap.pipelines.keypoints.by_mediapipe import RECIPE, TIMEOUT_S, mediapipe_detector
-
-        if options.python is None:
-            problem = f"found no --python, expected an environment's; {RECIPE} makes one"
-            raise InputError("--detector mediapipe", problem)
-        timeout_s = TIMEOUT_S if options.detector_timeout is None else options.detector_timeout
-        if not 0 < timeout_s <= MAX_TIMEOUT_S:
-            problem = f"found {timeout_s:g}, expected seconds, up to {MAX_TIMEOUT_S}"
-            raise InputError("--detector-timeout", problem)
-        return mediapipe_detector(options.python, timeout_s)
-    if not options.detector.endswith(".onnx"):
-        expected = f"expected {MEDIAPIPE} or an .onnx file"
-        raise InputError("--detector", f"found {options.detector!r}, {expected}")
-    from jaxmocap.pipelines.keypoints.by_onnx import onnx_detector
-
-    return onnx_detector(Path(options.detector))
 
 
 COMMAND = Command(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from jaxmocap.cli.command import Command, numbers, whole_number
 from jaxmocap.cli.recording_options import add_cameras, recording_of
-from jaxmocap.cli.reporting import report
+from jaxmocap.cli.reporting import exit_code, report
 
 if TYPE_CHECKING:
     from jaxmocap.silhouette.settings import Settings
@@ -51,6 +51,12 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         help="let these passes correct the bones' lengths too, where no static trial measures them",
     )
     parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")
+    parser.add_argument(
+        "--guess",
+        action="store_true",
+        help="track by one camera without key points or markers all the same; the person is "
+        "mostly lost, and the report says so",
+    )
     add_settings(parser)
     morphing = parser.add_mutually_exclusive_group()
     morphing.add_argument(
@@ -73,9 +79,10 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _run(options: argparse.Namespace) -> None:
+def _run(options: argparse.Namespace) -> int:
     from jaxmocap.body.skeleton import with_joints
     from jaxmocap.pipelines.kept_programs import keep_compiled
+    from jaxmocap.pipelines.silhouettes.doubt import check_determined, lost_sentences
     from jaxmocap.pipelines.silhouettes.first_pose import morphing_for, start_pose
     from jaxmocap.pipelines.silhouettes.person import person_files, with_model
     from jaxmocap.pipelines.silhouettes.track import track_silhouettes
@@ -90,6 +97,7 @@ def _run(options: argparse.Namespace) -> None:
     morphing = morphing_for(body, surface, options.shoulders, options.morphing)
     inputs = [*model_files, Path(options.morphing)] if options.morphing else model_files
     results_folder(options.out, recording, inputs)
+    doubts = check_determined(recording, options.markers, options.guess)
     start = start_pose(recording, options.at, settings.body)
     followed = track_silhouettes(
         recording,
@@ -100,12 +108,14 @@ def _run(options: argparse.Namespace) -> None:
         surface=surface,
         settings=replace(settings, morphing=morphing),
         progress=True,
+        doubts=doubts,
     )
     warnings: list[str] = []
     where = recording, options.out, True, person, inputs, warnings.append
     files = write_results(followed, *where)
     given = followed.motion, files, warnings
     report(options, summary(*given), figures(*given))
+    return exit_code(options, lost_sentences(followed.motion))
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:

@@ -19,6 +19,7 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import depth, project
 from jaxmocap.hybrid.settings import Settings as Hybrid
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.pipelines.silhouettes.keypoints import has_keypoints
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
 from jaxmocap.silhouette.settings import Settings
 
@@ -50,8 +51,8 @@ def morphing_for(
 
 def start_pose(
     recording: Recording, at: tuple[float, float, float] | None = None, body: str = Settings.body
-) -> Pose:
-    """The first pose.
+) -> Pose | None:
+    """The first pose; None where only the videos' key points say it.
 
     Args:
         recording: with or without markers.
@@ -60,15 +61,17 @@ def start_pose(
         body: file whose joints move the person.
 
     Raises:
-        InputError: neither a place nor markers, or a place at which no camera looks.
+        InputError: neither a place nor markers nor key points, or a place at which no camera looks.
     """
     skeleton = with_joints(recording.skeleton, body)
     if at is not None:
         x, y, _ = np.array([*at[:2], 0.0]) - recording.origin_world
         pose = standing_pose_at(skeleton, x, y, np.radians(at[2]))
     elif not recording.places:
+        if has_keypoints(recording):
+            return None
         problem = "no [markers] to begin from, expected --at X,Y,FACING of a person who stands"
-        raise recording.error(f"{problem} upright")
+        raise recording.error(f"{problem} upright, or key points ('jaxmocap keypoints')")
     else:
         pose = _by_markers(recording, skeleton)
     if recording.videos and not in_view(recording, skeleton, pose):

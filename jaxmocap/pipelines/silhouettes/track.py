@@ -6,15 +6,16 @@ INPUTS: a Recording, where the person is at first. OUTPUTS: a Motion, and the le
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from time import perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxmocap.body.model import Model, marker_sites
-from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.model import marker_sites
+from jaxmocap.body.motion import Motion, Report, landmarks_over_time
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, with_joints
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.surfaces.parts import determined_landmarks, moved_bones
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
@@ -27,6 +28,8 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.background_model import Background
 from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
+from jaxmocap.pipelines.silhouettes.doubt import keypoint_distances, lost_status
+from jaxmocap.pipelines.silhouettes.keypoints import KeypointGuide, keypoint_guide
 from jaxmocap.silhouette.passes import FrameBundle, PassResult, PassSettings, run_passes
 from jaxmocap.silhouette.segmentation.background_models import background_of_picture
 from jaxmocap.silhouette.settings import Settings
@@ -69,21 +72,33 @@ class SilhouetteResult(NamedTuple):
 
 
 class _Footage(NamedTuple):
-    """F instants: times, frames (F, C) of the cameras' videos, -1 for none; markers (F, M, 3)."""
+    """F instants: times, frames (F, C) of the cameras' videos, -1 for none; markers (F, M, 3).
+
+    Those where they are followed, and where key points have the person.
+    """
 
     videos: list[FrameSource]
     times: np.ndarray
     indices: np.ndarray
-    positions_world: np.ndarray
+    positions_world: np.ndarray | None
+    guide: KeypointGuide | None
 
     def bundles(self) -> Iterator[FrameBundle]:
         """All instants in order, decoded as they are asked for."""
         with forward_readers(self.videos, colour=True) as readers:
-            for time, row, markers in zip(
-                self.times, self.indices, self.positions_world, strict=True
-            ):
+            for instant, (time, row) in enumerate(zip(self.times, self.indices, strict=True)):
                 images = [reader.at(int(k)) for reader, k in zip(readers, row, strict=True)]
-                yield FrameBundle(float(time), images, markers)
+                yield FrameBundle(float(time), images, *self._beside(instant))
+
+    def _beside(self, instant: int) -> tuple[dict[str, Any], Pose | None]:
+        """What was measured at an instant besides its images, and where that has the person."""
+        measured: dict[str, Any] = {}
+        if self.positions_world is not None:
+            measured["markers"] = self.positions_world[instant].astype(np.float32)
+        if self.guide is None:
+            return measured, None
+        measured["sight_lines"] = self.guide.lines_at(instant)
+        return measured, self.guide.pose_at(instant) if self.guide.is_detected[instant] else None
 
 
 def make_silhouette_tracker(
@@ -114,7 +129,7 @@ def make_silhouette_tracker(
 
 def track_silhouettes(
     recording: Recording,
-    start: Pose,
+    start: Pose | None = None,
     settings: Settings | None = None,
     *,
     passes: int = 3,
@@ -122,12 +137,14 @@ def track_silhouettes(
     surface: Surface | None = None,
     lengths: bool = False,
     progress: Progress | bool | None = None,
+    doubts: Sequence[str] = (),
 ) -> SilhouetteResult:
     """Track the person in a recording's videos.
 
     Args:
         recording: with one or several videos.
-        start: where the person is in the first frames, a pose of the settings' body.
+        start: where the person is in the first frames, a pose of the settings' body; where the key
+            points say it without it.
         settings: of the tracker.
         passes: in 1 the backgrounds are what its frames so far showed, and the shape is generic;
             2 learn both first; 3 once more, the shape with the learned backgrounds. Limbs that
@@ -138,15 +155,19 @@ def track_silhouettes(
         lengths: whether passes before the last correct the bones' lengths as well.
         progress: called with the frames done and their total; True shows a bar
             on stderr; None does so on a terminal.
+        doubts: warnings of what was found beforehand.
 
     Returns:
         One pose per instant of the videos, and the level sets.
 
     Raises:
-        InputError: no video, or nobody in any frame.
+        InputError: no video, nobody in any frame, or nothing that says where the person begins.
     """
+    settings = settings or Settings()
+    recording, footage, guide, warnings = _open(recording, settings, markers, start, surface)
     tracker = make_silhouette_tracker(recording, settings, markers, surface)
-    footage, warnings = _open(recording, tracker.body.model if markers else None)
+    if start is None:
+        start = _first_pose(recording, guide)
     how = PassSettings(passes, 1.0 if surface is None else PHOTOGRAPHED_SHARE, lengths)
     # By the recording's pictures of empty rooms.
     backgrounds: list[Background | None] = [
@@ -173,14 +194,16 @@ def track_silhouettes(
         "recording": recording.path or recording.name,
         "cameras": names,
         "markers": recording.marker_names if markers else (),
-        "warnings": (*warnings, *at_rest),
+        "warnings": (*doubts, *warnings, *at_rest),
         "tracker": constants.settings,
     }
     tracked = perf_counter()
     shape, poses = result.body.shape, result.smoothed(constants)
     spent = {"passes": tracked - began, "smoothing": perf_counter() - tracked}
     described |= {"video_frames": len(footage.times), "seconds": spent}
-    report = _report(result, constants, names, plain(described))
+    report = _report(
+        result, constants, names, plain(described), _distances(guide, shape.skeleton, poses)
+    )
     motion = Motion(shape.skeleton, footage.times, poses, report, recording.origin_world)
     regions = [report.outlines.region for report in result.reports]
     origins, scales = (np.stack([region[k] for region in regions]) for k in (0, 1))
@@ -191,26 +214,60 @@ def track_silhouettes(
     return SilhouetteResult(motion, masks, shape.surface)
 
 
-def _open(recording: Recording, followed: Model | None) -> tuple[_Footage, tuple[str, ...]]:
-    """The videos and which of their frames belong together; the markers of a model with them.
+def _first_pose(recording: Recording, guide: KeypointGuide | None) -> Pose:
+    """Where the key points have the person at first."""
+    if guide is None:
+        expected = "expected --at X,Y,FACING of a person who stands upright, or key points"
+        raise recording.error(f"nobody is detected in any frame, {expected}")
+    return guide.pose_at(int(np.argmax(guide.is_detected)))
 
-    Those on bones that its joints do not move are none.
+
+def _open(
+    recording: Recording,
+    settings: Settings,
+    markers: bool,
+    start: Pose | None,
+    surface: Surface | None,
+) -> tuple[Recording, _Footage, KeypointGuide | None, tuple[str, ...]]:
+    """The recording, its bones as key points have them; its videos, which frames belong together.
+
+    Followed markers on bones that the body's joints do not move are none. A person's own surface
+    keeps its bones.
     """
+    if not recording.videos:
+        raise recording.error("no [[video]]: expected one or several")
     videos, warnings = [open_video(source) for source in recording.videos], list(recording.warnings)
     for video, source in zip(videos, recording.videos, strict=True):
         warning = check_video_size(video, source.camera, video.name)
         warnings += [warning] if warning else []
     times, indices = bundle_frames([video.times for video in videos])
-    positions = np.empty((len(times), 0, 3))
-    if followed is not None:
+    guide = keypoint_guide(recording, videos, times, indices, start, settings)
+    if guide is not None:
+        warnings += guide.warnings
+        recording = recording if surface else replace(recording, skeleton=guide.skeleton)
+    positions = None
+    if markers:
+        places = recording.require_markers().places
+        sites = marker_sites(recording.skeleton, places)
         positions = interpolate_markers(recording.times, recording.positions_world, times)
-        moved = moved_bones(followed.skeleton.tree)[followed.markers.bone_indices]
-        positions = np.where(moved[:, None], positions, np.nan)
-    return _Footage(videos, times, indices, positions), tuple(warnings)
+        tree = with_joints(recording.skeleton, settings.body).tree
+        positions = np.where(moved_bones(tree)[sites.bone_indices][:, None], positions, np.nan)
+    return recording, _Footage(videos, times, indices, positions, guide), guide, tuple(warnings)
+
+
+def _distances(guide: KeypointGuide | None, skeleton: Skeleton, poses: Pose) -> np.ndarray | None:
+    """(F,) how far the key points lie off, metres; None without any."""
+    if guide is None:
+        return None
+    return keypoint_distances(landmarks_over_time(skeleton, poses), guide.lines)
 
 
 def _report(
-    result: PassResult, constants: TrackerConstants, names: Sequence[str], settings: dict
+    result: PassResult,
+    constants: TrackerConstants,
+    names: Sequence[str],
+    settings: dict,
+    distances: np.ndarray | None,
 ) -> Report:
     """How well each frame's pose is determined, and its warnings."""
     count = len(result.times)
@@ -218,7 +275,11 @@ def _report(
     # What the outlines alone say of their own scatter is far less than the errors.
     deviations = np.full((count, len(LANDMARKS), 3), np.nan)
     joints = result.body.shape.skeleton.tree.joints
-    statuses = tuple(_warnings(report, names, joints) for report in result.reports)
+    off = np.full(count, np.nan) if distances is None else distances
+    statuses = tuple(
+        (*lost_status(report.used, distance), *_warnings(report, names, joints))
+        for report, distance in zip(result.reports, off, strict=True)
+    )
     milliseconds = {"frame": np.array(result.milliseconds)}
     return Report(
         (), np.zeros((count, 0)), none, none, deviations, deviations[..., 0], statuses,

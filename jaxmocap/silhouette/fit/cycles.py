@@ -12,7 +12,9 @@ import numpy as np
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.evidence.keypoints import KeyPoints
 from jaxmocap.evidence.markers import MarkerPositions
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.device_functions import ContourPairs, fit, free_pose
 from jaxmocap.silhouette.fit.camera_agreement import disagreeing, matched_shares
@@ -161,11 +163,11 @@ def information_without(
     hidden: np.ndarray,
     pose: Pose,
     pairs: NodePairs,
-    positions_world: np.ndarray | None,
+    measured: Measurements,
 ) -> PoseResult:
     """Hessian and slope at a pose by its pairs, without those of hidden joints (D,).
 
-    For what hides a part has outlines too; ``positions_world`` (M, 3) of the markers, metres.
+    For what hides a part has outlines too; ``measured`` of the frame, see ``term_evidence``.
     """
     s, skeleton = constants.settings, body.shape.skeleton
     moved = np.any(skeleton.tree.carries[ROOT_DOF:][hidden], 0)
@@ -174,18 +176,26 @@ def information_without(
     how = PoseSettings(deviation=s.cycles[-1].deviation, iterations=0)
     flat = np.full(skeleton.costs.shape, s.predicted_deviation)
     here = combined_prior(pose, flat, constants.rest_deviations)
-    beside = term_evidence(body.model, positions_world, s)
+    beside = term_evidence(body.model, measured, s)
     visible, morph = pairs.pairs._replace(weights=weights), constants.finder.morph
     return fit(skeleton, constants.cameras, pose, visible, how, here, beside, morph)
 
 
-def term_evidence(
-    model: Model, positions_world: np.ndarray | None, settings: Settings
-) -> TermEvidence | None:
-    """What the settings' terms have to say; None where only markers would, and there are none."""
+def term_evidence(model: Model, measured: Measurements, settings: Settings) -> TermEvidence | None:
+    """What the settings' terms have to say; None where markers or key points would, without any.
+
+    Args:
+        model: of the person and the markers.
+        measured: of a frame: ``markers`` (M, 3) where there are any, world, metres, NaN where one
+            is missing; ``sight_lines`` to key points.
+        settings: with the terms.
+    """
     count = len(model.markers.bone_indices)
-    terms = tuple(t for t in settings.terms if count or not isinstance(t, MarkerPositions))
+    idle = (() if count else (MarkerPositions,)) + (
+        () if "sight_lines" in measured else (KeyPoints,)
+    )
+    terms = tuple(term for term in settings.terms if not isinstance(term, idle))
     if not terms:
         return None
-    positions = np.full((count, 3), np.nan) if positions_world is None else positions_world
-    return TermEvidence(model, terms, {"markers": np.asarray(positions, np.float32)})
+    missing = np.full((count, 3), np.nan, np.float32)
+    return TermEvidence(model, terms, {"markers": missing, **measured})

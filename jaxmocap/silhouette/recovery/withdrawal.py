@@ -28,15 +28,15 @@ def withdrawn(
 ) -> tuple[RecentFrame, ...]:
     """The last frames, joints (D,) that were relocated since being hidden in them."""
     frames = []
-    for report, pose, positions_world in recent:
+    for report, pose, measured in recent:
         hidden, observed = report.hidden | relocated, report.observed.copy()
-        left = information_without(constants, body, hidden, pose, report.pairs, positions_world)
+        left = information_without(constants, body, hidden, pose, report.pairs, measured)
         observed[ROOT_DOF:][relocated] = False
         information, slope = np.asarray(left.information), np.asarray(left.slope)
         report = report._replace(
             hidden=hidden, observed=observed, information=information, slope=slope
         )
-        frames.append(RecentFrame(report, pose, positions_world))
+        frames.append(RecentFrame(report, pose, measured))
     return tuple(frames)
 
 

@@ -1,0 +1,137 @@
+"""A camera's height and pitch by a person who stands or walks before it.
+
+Hips, shoulders and ankles of somebody upright are at heights above the floor that follow from the
+stature; the image has them at rows that depend on the camera's height and pitch, and on how far
+away the person is, frame by frame. The camera is level, as phones are held: it does not roll.
+
+INPUTS: pixels of landmarks, a lens, a skeleton. OUTPUTS: a StandingCamera.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import least_squares
+
+from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.pose import relaxed_pose
+from jaxmocap.body.skeleton import Skeleton, landmark_rows
+from jaxmocap.geometry.cameras import Camera, pixel_rays
+
+# Pairs of landmarks whose middles are looked at. Knees bend.
+PAIRS = ("ankle", "hip", "shoulder")
+# Height of the ankles of feet on the floor, metres.
+ANKLE_M = 0.07
+# Of a middle about where somebody upright has it, metres at the person.
+DEVIATION_M = 0.03
+# What cameras usually are: height in metres, pitch downwards in radians, and their deviations.
+USUAL_HEIGHT_M, HEIGHT_DEVIATION_M = 1.3, 0.4
+USUAL_PITCH, PITCH_DEVIATION = 0.05, 0.15
+# Frames that are looked at, and how few will not do.
+MOST_FRAMES, FEWEST_FRAMES = 60, 3
+# How far away people are, metres.
+NEAREST_M, FARTHEST_M = 0.8, 30.0
+
+
+class StandingCamera(NamedTuple):
+    """Where a camera is, above the floor.
+
+    Attributes:
+        height: metres.
+        pitch: downwards, radians.
+        deviations: (2,) standard deviations of both.
+    """
+
+    height: float
+    pitch: float
+    deviations: np.ndarray
+
+    def placed(self, camera: Camera) -> Camera:
+        """The same lens above the world's origin, looking along x; the floor is z = 0."""
+        c, s = np.cos(self.pitch), np.sin(self.pitch)
+        R_cam_world = np.array([[0.0, -1.0, 0.0], [-s, 0.0, -c], [c, 0.0, -s]])
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = R_cam_world, -R_cam_world @ [0.0, 0.0, self.height]
+        return Camera.create(
+            tuple(np.asarray(camera.size).tolist()), camera.matrix, camera.distortion,
+            T[:3, :3], T[:3, 3], camera.lens,
+        )  # fmt: skip
+
+
+def camera_by_person(
+    camera: Camera,
+    names: tuple[str, ...],
+    pixels_xy: np.ndarray,
+    confidences: np.ndarray,
+    skeleton: Skeleton,
+) -> StandingCamera | None:
+    """The height and pitch that suit somebody who mostly stands upright.
+
+    Args:
+        camera: its lens; where it is does not matter.
+        names: of P landmarks.
+        pixels_xy: (F, P, 2).
+        confidences: (F, P), 0 where missing.
+        skeleton: of the person.
+
+    Returns:
+        None where hardly any frame has hips, shoulders and ankles.
+    """
+    slopes = _slopes(camera, names, pixels_xy, confidences)
+    whole = np.flatnonzero(np.isfinite(slopes).all(1))
+    if len(whole) < FEWEST_FRAMES:
+        return None
+    slopes = slopes[whole[np.linspace(0, len(whole) - 1, min(len(whole), MOST_FRAMES)).astype(int)]]
+    heights = _upright_heights(skeleton)
+    reach = (heights[-1] - heights[0]) / np.maximum(slopes[:, 0] - slopes[:, -1], 1e-2)
+    start = np.concatenate([[USUAL_HEIGHT_M, USUAL_PITCH], np.clip(reach, 1.0, FARTHEST_M - 1)])
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        height, pitch, away = x[0], x[1], x[2:, None]
+        below = height - heights
+        depth = away * np.cos(pitch) + below * np.sin(pitch)
+        rows = below * np.cos(pitch) - away * np.sin(pitch)
+        off = (rows - slopes * depth) / DEVIATION_M
+        # Frames err alike: somebody who leans goes on doing so.
+        usual = [
+            (height - USUAL_HEIGHT_M) / HEIGHT_DEVIATION_M,
+            (pitch - USUAL_PITCH) / PITCH_DEVIATION,
+        ]
+        return np.concatenate([off.ravel() / np.sqrt(len(slopes)), usual])
+
+    low = np.concatenate([[0.05, -1.2], np.full(len(slopes), NEAREST_M)])
+    high = np.concatenate([[6.0, 1.2], np.full(len(slopes), FARTHEST_M)])
+    solved = least_squares(residuals, start, bounds=(low, high), loss="soft_l1")
+    covariance = np.linalg.pinv(solved.jac.T @ solved.jac)
+    height, pitch = solved.x[:2]
+    return StandingCamera(float(height), float(pitch), np.sqrt(np.diag(covariance)[:2]))
+
+
+def _slopes(
+    camera: Camera, names: tuple[str, ...], pixels_xy: np.ndarray, confidences: np.ndarray
+) -> np.ndarray:
+    """(F, K) tangents, downwards, at which a level camera has the pairs' middles; NaN where not."""
+    columns = []
+    for pair in PAIRS:
+        sides = [f"{pair}_l", f"{pair}_r"]
+        if not set(sides) <= set(names):
+            return np.full((len(pixels_xy), len(PAIRS)), np.nan)
+        rows = [names.index(side) for side in sides]
+        middle = np.where(confidences[:, rows].min(1) > 0, pixels_xy[:, rows].mean(1).T, np.nan).T
+        level = jnp.asarray(middle, float)
+        rays = np.asarray(pixel_rays(_unturned(camera), level), float)
+        columns.append(rays[:, 1] / rays[:, 2])
+    return np.stack(columns, 1)
+
+
+def _unturned(camera: Camera) -> Camera:
+    """The lens at the origin, in its own frame."""
+    size = tuple(np.asarray(camera.size).tolist())
+    return Camera.create(size, camera.matrix, camera.distortion, lens=camera.lens)
+
+
+def _upright_heights(skeleton: Skeleton) -> np.ndarray:
+    """(K,) heights of the pairs of somebody at ease, metres above the floor."""
+    points = np.asarray(landmarks(skeleton, relaxed_pose(skeleton)))
+    each = [points[landmark_rows((f"{pair}_l", f"{pair}_r")), 2].mean() for pair in PAIRS]
+    return np.array(each) - each[0] + ANKLE_M

@@ -1,0 +1,60 @@
+"""``jaxmocap video``: a video of one camera and the person's height, and nothing else.
+
+INPUTS: a video. OUTPUTS: a folder with the motion in every format, a report, overlay videos, and in
+``recording`` the recording that was made of the video; exit code 1 where the person is lost in more
+than half of the frames.
+"""
+
+import argparse
+from pathlib import Path
+
+from jaxmocap.cli.command import Command, positive_number
+from jaxmocap.cli.detector_options import MEDIAPIPE, add_detector, detector_of
+from jaxmocap.cli.reporting import exit_code, report
+
+FOLDER = "recording"
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("video", metavar="VIDEO", help="of a camera that stands still, of one person")
+    add("--height", metavar="M", type=positive_number, required=True, help="of the person, metres")
+    add("--out", metavar="DIR", required=True, help="where to write")
+    add(
+        "--fov",
+        metavar="DEG",
+        type=positive_number,
+        help="field of view along the longer side, degrees; default: as the file states it, or "
+        "else 62, with a warning",
+    )
+    add_detector(parser, MEDIAPIPE)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from jaxmocap.pipelines.kept_programs import keep_compiled
+    from jaxmocap.pipelines.silhouettes.doubt import lost_sentences
+    from jaxmocap.pipelines.silhouettes.track import track_silhouettes
+    from jaxmocap.pipelines.silhouettes.video import recording_of_video
+    from jaxmocap.pipelines.silhouettes.writing import write_results
+    from jaxmocap.pipelines.summary import figures, summary
+
+    keep_compiled()
+    detector, out = detector_of(options), Path(options.out)
+    made = recording_of_video(
+        options.video, options.height, options.fov, detector, out / FOLDER, progress=True
+    )
+    followed = track_silhouettes(made.recording, doubts=made.warnings, progress=True)
+    warnings: list[str] = []
+    files = write_results(followed, made.recording, out, True, warn=warnings.append)
+    given = followed.motion, [made.path, *files], warnings
+    report(options, summary(*given), figures(*given))
+    return exit_code(options, lost_sentences(followed.motion))
+
+
+COMMAND = Command(
+    name="video",
+    purpose="track a person in a video, by the height alone",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap video clip.mp4 --height 1.75 --out tracked --python mp/bin/python",
+)

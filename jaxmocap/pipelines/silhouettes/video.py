@@ -1,0 +1,149 @@
+"""A video of one camera, and nothing else, to a recording: lens, floor, key points.
+
+INPUTS: a video, the person's height, a detector. OUTPUTS: in a folder ``recording.toml``,
+``calibration.toml`` and ``keypoints/camera.json``, to be refined by hand; warnings.
+"""
+
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.calibration.standing_person import StandingCamera, camera_by_person
+from jaxmocap.capture.keypoints import follow_person, open_keypoints
+from jaxmocap.capture.video import Video, open_video
+from jaxmocap.formats.cameras.calibration import write_calibration
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.output_folder import OutputFolder
+from jaxmocap.formats.recordings.recording import Recording, write_recording
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.pipelines.keypoints.detect import Detector, detect_keypoints
+from jaxmocap.pipelines.progress import Progress
+
+CAMERA = "camera"
+RECORDING, CALIBRATION, KEYPOINTS = "recording.toml", "calibration.toml", "keypoints"
+# What phones and webcams show along the longer side, degrees.
+USUAL_FOV_DEG = 62.0
+# Such as nobody has.
+LEAST_FOV_DEG, MOST_FOV_DEG = 5.0, 150.0
+# A picture on film is so wide, millimetres: what focal lengths "as of 35 mm film" refer to.
+FILM_MM = 36.0
+# Until the person shows where the camera is.
+SOMEWHERE = StandingCamera(1.3, 0.0, np.zeros(2))
+
+
+class VideoRecording(NamedTuple):
+    """A recording made of a video.
+
+    Attributes:
+        recording: with key points.
+        path: of its file.
+        warnings: for the user.
+    """
+
+    recording: Recording
+    path: Path
+    warnings: tuple[str, ...]
+
+
+def recording_of_video(
+    video: str | Path,
+    height: float,
+    fov_deg: float | None,
+    detector: Detector,
+    folder: str | Path,
+    progress: Progress | bool | None = None,
+) -> VideoRecording:
+    """Find key points in a video, place its camera above the floor, and write the recording.
+
+    Args:
+        video: of a camera that stands still.
+        height: of the person, metres.
+        fov_deg: field of view along the longer side, degrees; None takes the file's, or else
+            ``USUAL_FOV_DEG``.
+        detector: of the key points.
+        folder: of the recording, is made where missing.
+        progress: called with the frames done and their total; True shows a bar.
+
+    Raises:
+        InputError: no video, nobody's height, no field of view, a detector that does not work, or
+            nobody in any frame.
+    """
+    opened = Video(video)
+    try:
+        skeleton = Skeleton.human(height)
+    except ValueError as error:
+        raise InputError("--height", str(error)) from None
+    lens, warnings = _lens(opened, fov_deg)
+    out = OutputFolder(folder, "recording of a video", [RECORDING, CALIBRATION], [Path(video)])
+    path = out.path / RECORDING
+
+    def write(place: StandingCamera, keypoints: bool) -> None:
+        with out.writing() as stage:
+            write_calibration(stage / CALIBRATION, {CAMERA: place.placed(lens)})
+            entry = {"file": os.path.relpath(video, out.path), "camera": CAMERA}
+            entry |= {"keypoints": f"{KEYPOINTS}/{CAMERA}.json"} if keypoints else {}
+            write_recording(stage / RECORDING, None, {}, [entry], CALIBRATION, {"height": height})
+
+    write(SOMEWHERE, keypoints=False)
+    detected = detect_keypoints(Recording.load(path), detector, out.path / KEYPOINTS, progress)
+    if not detected[0].found:
+        raise InputError(video, "found nobody in any frame, expected a person")
+    write(SOMEWHERE, keypoints=True)
+    place, more = _place(Recording.load(path), lens, skeleton)
+    write(place, keypoints=True)
+    return VideoRecording(Recording.load(path), path, (*warnings, *more))
+
+
+def _lens(video: Video, fov_deg: float | None) -> tuple[Camera, list[str]]:
+    """The lens of a field of view, stated, the file's or usual; and a warning where that."""
+    warnings, stated = [], fov_deg if fov_deg is not None else file_fov_deg(video)
+    if stated is None:
+        stated = USUAL_FOV_DEG
+        usual = f"a field of view of {stated:g} degrees along the longer side was taken"
+        warnings.append(f"{video.name} states no lens: {usual}, --fov states another")
+    if not LEAST_FOV_DEG <= stated <= MOST_FOV_DEG:
+        expected = f"expected {LEAST_FOV_DEG:g} to {MOST_FOV_DEG:g} degrees"
+        raise InputError("--fov", f"found {stated:g}, {expected}")
+    width, height = video.size
+    focal = max(width, height) / 2 / np.tan(np.radians(stated) / 2)
+    centre = (width - 1) / 2, (height - 1) / 2
+    matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
+    return Camera.create((width, height), matrix), warnings
+
+
+def file_fov_deg(video: Video) -> float | None:
+    """The field of view along the longer side that a phone states in its file; None without it."""
+    for key, value in video.metadata.items():
+        if key.lower().endswith("focal_length.35mm_equivalent"):
+            try:
+                focal_mm = float(value)
+            except ValueError:
+                continue
+            if focal_mm > 0:
+                return float(np.degrees(2 * np.arctan(FILM_MM / 2 / focal_mm)))
+    return None
+
+
+def _place(
+    recording: Recording, lens: Camera, skeleton: Skeleton
+) -> tuple[StandingCamera, list[str]]:
+    """Where the camera is by the person, and what a user should know of it."""
+    (source,) = recording.videos
+    detections = open_keypoints(source, open_video(source))
+    assert detections is not None
+    person = follow_person(detections)
+    place = camera_by_person(
+        lens, person.landmarks, person.pixels_xy[:, 0], person.confidences[:, 0], skeleton
+    )
+    if place is None:
+        taken = f"a level camera {SOMEWHERE.height:g} m above the floor was taken"
+        return SOMEWHERE, [f"hardly any frame shows hips, shoulders and ankles: {taken}"]
+    height, pitch = place.deviations
+    told = (
+        f"by the person the camera is {place.height:.2f} ± {height:.2f} m above the floor "
+        f"and looks {np.degrees(place.pitch):.0f} ± {np.degrees(pitch):.0f} degrees downwards"
+    )
+    return place, [f"{told}; {CALIBRATION} beside the recording can be refined"]

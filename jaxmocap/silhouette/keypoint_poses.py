@@ -1,0 +1,263 @@
+"""Poses by 2-D key points alone: where a silhouette tracker begins, and looks for what it lost.
+
+    start    from the body at some directions and postures, placed by the lines of sight
+    descend  each to a minimum of its own: one camera leaves limbs that point to it or away alike
+    decide   the cheapest path through all frames' minima
+    smooth   all frames at once
+
+The stature gives the distance, the floor and the camera's place do so once more.
+
+INPUTS: a Skeleton, lines of sight to its landmarks, frame by frame. OUTPUTS: KeypointPoses.
+"""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import Sites, landmarks
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose, relaxed_pose, retract
+from jaxmocap.body.proportions import LENGTHS
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.compilation.batches import in_batches
+from jaxmocap.compilation.settings import group, settings, traced
+from jaxmocap.evidence.balance import Balance
+from jaxmocap.evidence.ground import FeetOnFloor
+from jaxmocap.evidence.keypoints import KeyPoints, SightLines
+from jaxmocap.evidence.limits import JointLimits
+from jaxmocap.evidence.posture import MostlyRelaxedPosture, Pelvis, RelaxedPosture
+from jaxmocap.evidence.smoothness import REACH, smoothness
+from jaxmocap.evidence.terms import Measurements, Term, linearised, residuals
+from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.smoothing.levenberg_marquardt import minimise
+from jaxmocap.smoothing.linearise import linearise_problem, two_workers
+from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, moved_by
+from jaxmocap.solvers.descent import tree_where
+
+# A frame with fewer lines than this is bridged by the others.
+LEAST_LINES = 4
+# Directions that a start faces.
+FACINGS = 8
+# Frames in one call.
+FRAMES_A_CALL = 8
+# Minima of a frame that are kept; steps to tell which, and then; damping at first, factors on it.
+MINIMA, ROUGH_STEPS, STEPS = 8, 8, 20
+DAMPING, EASED, RAISED = 1.0, 0.2, 5.0
+LARGEST_STEP = 0.5
+# Speed of a landmark, metres a second, and what counts of the landmarks, which move together.
+SPEED, INDEPENDENT = 1.0, 4.0
+
+
+@settings
+class KeypointPoseSettings:
+    """What a user may tune of poses by key points; every field that is a ``Term`` takes part."""
+
+    keypoints: KeyPoints = group(lambda: KeyPoints(deviation=0.015), "of key points")  # type: ignore[arg-type]
+    posture: RelaxedPosture = group(
+        lambda: MostlyRelaxedPosture(ease=0.3),  # type: ignore[arg-type]
+        "of joints at ease",
+    )
+    pelvis: Pelvis = group(lambda: Pelvis(lean=0.3), "of how upright the pelvis is")  # type: ignore[arg-type]
+    limits: JointLimits = group(JointLimits, "of the joints' ranges")
+    floor: FeetOnFloor = group(FeetOnFloor, "of feet on the floor")
+    balance: Balance = group(lambda: Balance(deviation=0.15), "of standing in balance")  # type: ignore[arg-type]
+    proportions: Array = traced(
+        0.1,
+        "weight of the prior on the person's lengths, in each frame: key points err alike in all",
+    )
+    acceleration: Array = traced(
+        3.0, "spectral density of the landmarks' accelerations, m / s^2 * sqrt(s)"
+    )
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms of a frame."""
+        return (
+            self.keypoints, self.posture, self.pelvis, self.limits, self.floor, self.balance,
+        )  # fmt: skip
+
+
+class KeypointPoses(NamedTuple):
+    """T frames by key points.
+
+    Attributes:
+        poses: (T, ...).
+        costs: (T,) of each frame's terms.
+        skeleton: of the person, its lengths corrected.
+    """
+
+    poses: Pose
+    costs: np.ndarray
+    skeleton: Skeleton
+
+
+def poses_of_lines(
+    skeleton: Skeleton, times: np.ndarray, lines: SightLines, settings: KeypointPoseSettings
+) -> KeypointPoses:
+    """The poses (T, ...) that suit all frames' lines of sight.
+
+    Args:
+        skeleton: of the person, with D joints.
+        times: (T,) seconds.
+        lines: (T, ...) of C cameras.
+        settings: of the terms.
+    """
+    model = Model(skeleton, Sites.none(skeleton.lengths.dtype))
+    lines = jax.tree.map(lambda part: np.asarray(part, skeleton.lengths.dtype), lines)
+    measured = measurements(lines)
+    counted = (np.asarray(lines.confidences) > 0).sum((1, 2)) >= LEAST_LINES
+    rows = np.flatnonzero(counted)
+    some = jax.tree.map(lambda part: part[rows], measured)
+    call = partial(_minima, settings.terms, model)
+    position, quaternion, angles, costs, points = in_batches(call, (some,), FRAMES_A_CALL)
+    chosen = cheapest_path(times[rows], costs, points)
+    each = np.arange(len(rows))
+    minima = Pose(position, quaternion, angles)  # type: ignore[arg-type]
+    found = jax.tree.map(lambda part: part[each, chosen], minima)
+    nearest = np.abs(rows[None] - np.arange(len(times))[:, None]).argmin(1)
+    start = jax.tree.map(lambda part: part[nearest].astype(model.dtype), found)
+    if len(times) <= REACH:
+        return KeypointPoses(start, costs[each, chosen][nearest], skeleton)
+    weighted = replace(settings, proportions=settings.proportions * len(times))
+    problem = SmoothingProblem(model, weighted, times, measured, Views.no_cameras())
+    prior = smoothness(times, np.full(3 * len(LANDMARKS), float(settings.acceleration)))
+    with two_workers() as workers:
+        linearise = partial(linearise_problem, problem, 0.0, workers)
+        begun = Trajectory(start, np.zeros(len(LENGTHS), model.dtype))
+        solved = minimise(linearise, moved_by, begun, prior)
+    person = solved.x.person(skeleton)
+    return KeypointPoses(solved.x.poses, np.asarray(solved.linear.cost), person)
+
+
+def measurements(lines: SightLines) -> dict:
+    """What the terms ask for, of T frames."""
+    count, dtype = len(lines.confidences), np.asarray(lines.confidences).dtype
+    # Nothing says where the pelvis faces.
+    return {
+        "sight_lines": lines,
+        "facing": np.zeros((count, 3), dtype),
+        "upright": np.zeros((count, 2), dtype),
+    }
+
+
+def cheapest_path(times: np.ndarray, costs: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(T,) which of each frame's N minima lie on the path that costs least.
+
+    Args:
+        times: (T,) seconds.
+        costs: (T, N) half squared residuals.
+        points: (T, N, L, 3) landmarks, metres.
+    """
+    costs = np.where(np.isfinite(costs), costs, 1e9)
+    total, back = costs[0], []
+    for t in range(1, len(costs)):
+        reach = SPEED * (times[t] - times[t - 1])
+        apart = points[t][None] - points[t - 1][:, None]
+        square = (apart**2).sum(-1).mean(-1) / reach**2
+        moved = total[:, None] + INDEPENDENT * square / 2
+        back.append(moved.argmin(0))
+        total = moved.min(0) + costs[t]
+    path = [int(total.argmin())]
+    for step in reversed(back):
+        path.append(int(step[path[-1]]))
+    return np.array(path[::-1])
+
+
+@jax.jit
+def _minima(
+    terms: tuple[Term, ...], model: Model, measured: Measurements
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Positions, quaternions, angles, costs and landmarks (B, N, ...) of each frame's minima."""
+    starts = _starts(model.skeleton)
+
+    def of_frame(own: Measurements) -> tuple:
+        descend = jax.vmap(partial(_descended, terms, model, own), (0, None))
+        poses = jax.vmap(partial(_placed, model.skeleton, own))(starts)
+        poses, costs = descend(poses, ROUGH_STEPS)
+        best = jax.lax.top_k(-costs, MINIMA)[1]
+        poses, costs = descend(jax.tree.map(lambda part: part[best], poses), STEPS)
+        return *poses, costs, jax.vmap(partial(landmarks, model.skeleton))(poses)
+
+    return jax.lax.map(of_frame, measured)
+
+
+def _starts(skeleton: Skeleton) -> Pose:
+    """(N, ...) postures that descents begin from."""
+    turns = 2 * np.pi * np.arange(FACINGS) / FACINGS
+    relaxed = relaxed_pose(skeleton)
+    facing = np.stack([np.cos(turns / 2), 0 * turns, 0 * turns, np.sin(turns / 2)], 1)
+    rows = [(q, angles) for q in facing for angles in _postures(skeleton)]
+    quaternions, angles = (
+        jnp.stack([jnp.asarray(r[i], relaxed.angles.dtype) for r in rows]) for i in (0, 1)
+    )
+    return Pose(jnp.zeros((len(rows), 3), angles.dtype), quaternions, angles)
+
+
+def _postures(skeleton: Skeleton) -> list[Array]:
+    """(D,) each: at ease, crouched, and with arms and shanks drawn back."""
+    joints = skeleton.tree.joints
+
+    def bent(**degrees: float) -> Array:
+        own = [degrees.get(joint.removesuffix("_l").removesuffix("_r"), np.nan) for joint in joints]
+        angles = np.radians(np.array(own, float))
+        return jnp.where(np.isnan(angles), skeleton.relaxed, angles.astype(skeleton.axes.dtype))
+
+    return [
+        skeleton.relaxed,
+        bent(arm_flex=90.0, elbow_flex=60.0, hip_flexion=60.0, knee_flexion=80.0),
+        bent(
+            arm_flex=-30.0, arm_abduct=30.0, elbow_flex=60.0, hip_flexion=-10.0, knee_flexion=30.0
+        ),
+    ]
+
+
+def _placed(skeleton: Skeleton, measured: Measurements, pose: Pose) -> Pose:
+    """The pose moved to where its landmarks lie nearest to their lines."""
+    lines = measured["sight_lines"]
+    weights = jnp.where(jnp.isfinite(lines.directions).all(-1), lines.confidences, 0.0) ** 2
+    way = jnp.nan_to_num(lines.directions)
+    across = jnp.eye(3, dtype=way.dtype) - way[..., :, None] * way[..., None, :]
+    across = across * weights[..., None, None]
+    off = lines.origin[:, None] - landmarks(skeleton, pose)
+    towards = jnp.einsum("clij,clj->i", across, off, precision=HIGHEST)
+    total = jnp.sum(across, (0, 1)) + 1e-6 * jnp.eye(3, dtype=way.dtype)
+    return pose._replace(position=jnp.linalg.solve(total, towards))
+
+
+def _descended(
+    terms: tuple[Term, ...], model: Model, measured: Measurements, start: Pose, steps: Any
+) -> tuple[Pose, Array]:
+    """Where a damped Gauss-Newton descent ends, and half the squares there.
+
+    Infinite where that is behind the cameras, whose lines have two ends.
+    """
+    none = jnp.zeros(0, start.angles.dtype)
+    size = ROOT_DOF + start.angles.size
+    low, high = model.skeleton.limits[:, 0], model.skeleton.limits[:, 1]
+
+    def step(_: int, now: tuple) -> tuple:
+        pose, damping = now
+        r, J, *_ = linearised(terms, model, none, pose, measured)
+        cost = jnp.sum(r**2) / 2
+        H = jnp.matmul(J.T, J, precision=HIGHEST) + damping * jnp.eye(size, dtype=r.dtype)
+        move = -jnp.linalg.solve(H, jnp.matmul(r, J, precision=HIGHEST))
+        move = move * jnp.minimum(1.0, LARGEST_STEP / jnp.maximum(jnp.max(jnp.abs(move)), 1e-9))
+        there = retract(pose, move)
+        there = there._replace(angles=jnp.clip(there.angles, low, high))
+        after = jnp.sum(residuals(terms, model, there, measured) ** 2) / 2
+        lower = after < cost
+        damping = damping * jnp.where(lower, EASED, RAISED)
+        return tree_where(lower, there, pose), jnp.clip(damping, 1e-3, 1e6)
+
+    pose, _ = jax.lax.fori_loop(0, steps, step, (start, jnp.asarray(DAMPING, start.angles.dtype)))
+    lines = measured["sight_lines"]
+    away = landmarks(model.skeleton, pose) - lines.origin[:, None]
+    is_ahead = jnp.all(jnp.sum(away * jnp.nan_to_num(lines.directions), (1, 2)) >= 0)
+    cost = jnp.sum(residuals(terms, model, pose, measured) ** 2) / 2
+    return pose, jnp.where(is_ahead, cost, jnp.inf)
