@@ -18,10 +18,13 @@ from small_recording import write_small_recording
 
 from jaxmocap.calibration.extrinsics import board_to_world
 from jaxmocap.cli.program import COMMANDS, GROUPS, main
-from jaxmocap.formats.recordings.recording import write_recording
+from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
+from jaxmocap.formats.recordings.recording import Recording, write_recording
 from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
+from jaxmocap.geometry.cameras import project
 from jaxmocap.pipelines import view
+from jaxmocap.pipelines.keypoints.mediapipe_process import NUMBERS
 from jaxmocap.synthetic.drawing_camera import look_at
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import write_photographs
@@ -46,7 +49,22 @@ SHORT = {
     "calibrate extrinsics": 0,
 }
 LONG = {"demo", "warmup", "batch", "live", "silhouette demo", "silhouette track"}
-LONG |= {"silhouette model"}
+LONG |= {"silhouette model", "video"}
+# Stands in for MediaPipe: where the truth's joints are, frame by frame, as shares of the image.
+DETECTOR = """
+import json, pathlib
+FRAMES = iter(json.loads((pathlib.Path(__file__).parent / "frames.json").read_text()))
+class Mark:
+    def __init__(self, x, y): self.x, self.y, self.visibility = x, y, 1.0
+class Pose:
+    def __init__(self, model_complexity): pass
+    def process(self, image):
+        marks = type("Marks", (), {"landmark": [Mark(*at) for at in next(FRAMES)]})
+        return type("Result", (), {"pose_landmarks": marks})
+class solutions:
+    class pose:
+        Pose = Pose
+"""
 LIVE = "[osc]\nlisten = 39571\n[subject]\nheight = 1.75\n[markers.on]\nHead = { bone = 'head' }\n"
 # Their examples need what no test has.
 EXCEPTED = {"keypoints": "MediaPipe needs an environment of its own and an older NumPy"}
@@ -130,6 +148,39 @@ def test_the_example_of_silhouette_track_runs(tmp_path):
     run("silhouette track", tmp_path)
     report = json.loads((tmp_path / "tracked" / "report.json").read_text())
     assert report["warnings"] == [] and "left out" not in report
+
+
+@pytest.mark.slow
+def test_the_example_of_video_runs(tmp_path):
+    """One camera of the demo's recording, whose person squats; MediaPipe's place is taken."""
+    given = ["silhouette", "demo", "--out", "demo", "--seconds", "0.4"]
+    subprocess.run([sys.executable, "-m", "jaxmocap.cli", *given], cwd=tmp_path, check=True)
+    made = tmp_path / "demo" / "recording"
+    (made / "cam_1.mp4").rename(tmp_path / "clip.mp4")
+    camera = Recording.load(made / "recording.toml").videos[0].camera
+    points = read_trc(made / "truth.trc").points()
+    rows = {
+        number: LANDMARK_OF.get(name)
+        for number, name in zip(NUMBERS, MODELS["COCO_17"], strict=True)
+    }
+    size, frames = np.asarray(camera.size), []
+    for frame in range(len(points["hip_l"])):
+        places = [points[rows.get(n) or "head"][frame] for n in range(33)]
+        pixels = np.asarray(project(camera, np.array(places, np.float32)))
+        frames.append(((pixels + 0.5) / size).tolist())
+    (tmp_path / "stand_in").mkdir()
+    (tmp_path / "stand_in" / "mediapipe.py").write_text(DETECTOR)
+    (tmp_path / "stand_in" / "frames.json").write_text(json.dumps(frames))
+    python = tmp_path / "mp" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.write_text(f'#!/bin/sh\nPYTHONPATH={tmp_path}/stand_in exec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    run("video", tmp_path)
+    report = json.loads((tmp_path / "tracked" / "report.json").read_text())
+    assert len(report["warnings"]) == 2 and "--fov" in report["warnings"][0]
+    made = tmp_path / "tracked" / "recording"
+    assert {path.name for path in made.iterdir()} >= {"recording.toml", "calibration.toml"}
+    assert (tmp_path / "tracked" / "overlay_camera.mp4").is_file()
 
 
 @pytest.mark.slow

@@ -1,0 +1,64 @@
+"""A camera's height and pitch by a person who walks before it; a video's lens; the recording."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.pose import relaxed_pose
+from jaxmocap.body.skeleton import Skeleton, landmark_rows
+from jaxmocap.calibration.standing_person import ANKLE_M, StandingCamera, camera_by_person
+from jaxmocap.geometry.cameras import Camera, project
+
+NAMES = tuple(f"{joint}_{side}" for joint in ("shoulder", "hip", "knee", "ankle") for side in "lr")
+SIZE, FOCAL = (720, 1280), 1100.0
+LENS = Camera.create(SIZE, np.array([[FOCAL, 0, 359.5], [0, FOCAL, 639.5], [0, 0, 1]]))
+PERSON = Skeleton.human(1.7)
+
+
+def walked(place: StandingCamera, count: int = 30, noise_px: float = 3.0):
+    """Pixels (F, P, 2) of somebody upright who walks from 3 to 6 m away."""
+    points = np.array(landmarks(PERSON, relaxed_pose(PERSON)))
+    points[:, 2] += ANKLE_M - points[landmark_rows(("ankle_l",))[0], 2]
+    away = np.linspace(3, 6, count)
+    moved = points[landmark_rows(NAMES)] + np.stack([away, 0.2 * away, 0 * away], 1)[:, None]
+    pixels = np.asarray(project(place.placed(LENS), jnp.asarray(moved, float)))
+    return pixels + np.random.default_rng(0).normal(0, noise_px, pixels.shape)
+
+
+@pytest.mark.parametrize(("height", "pitch_deg"), [(1.5, 8.0), (0.9, -4.0), (2.2, 20.0)])
+def test_a_camera_is_placed_by_who_walks_before_it(height, pitch_deg):
+    place = StandingCamera(height, np.radians(pitch_deg), np.zeros(2))
+    pixels = walked(place)
+    found = camera_by_person(LENS, NAMES, pixels, np.ones(pixels.shape[:2]), PERSON)
+    assert found is not None
+    assert found.height == pytest.approx(height, abs=0.2)
+    assert np.degrees(found.pitch) == pytest.approx(pitch_deg, abs=2.5)
+    assert (abs(found.height - height), abs(found.pitch - place.pitch)) < tuple(
+        3 * found.deviations
+    )
+
+
+def test_who_bends_in_some_frames_hardly_matters():
+    place = StandingCamera(1.5, np.radians(8.0), np.zeros(2))
+    pixels = walked(place)
+    pixels[:6, :2, 1] += 120.0
+    found = camera_by_person(LENS, NAMES, pixels, np.ones(pixels.shape[:2]), PERSON)
+    assert found is not None and found.height == pytest.approx(1.5, abs=0.2)
+
+
+def test_who_is_hardly_seen_places_no_camera():
+    pixels = walked(StandingCamera(1.5, 0.1, np.zeros(2)))
+    sure = np.ones(pixels.shape[:2])
+    sure[2:, NAMES.index("ankle_l")] = 0.0
+    assert camera_by_person(LENS, NAMES, pixels, sure, PERSON) is None
+    assert camera_by_person(LENS, NAMES[:4], pixels[:, :4], sure[:, :4], PERSON) is None
+
+
+def test_a_placed_camera_looks_along_x_from_its_height():
+    camera = StandingCamera(1.5, np.radians(10), np.zeros(2)).placed(LENS)
+    np.testing.assert_allclose(np.asarray(camera.position_world), [0, 0, 1.5], atol=1e-6)
+    ahead = np.asarray(camera.T_cam_world)[2, :3]
+    np.testing.assert_allclose(
+        ahead, [np.cos(np.radians(10)), 0, -np.sin(np.radians(10))], atol=1e-6
+    )

@@ -1,0 +1,119 @@
+"""``jaxmocap video``: a video, a height and nothing else; what is refused."""
+
+from contextlib import contextmanager
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.pose import relaxed_pose
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.calibration.standing_person import ANKLE_M, StandingCamera
+from jaxmocap.cli.program import main
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.geometry.cameras import Camera, project
+from jaxmocap.pipelines.keypoints.detect import Detector
+from jaxmocap.pipelines.silhouettes.video import USUAL_FOV_DEG, file_fov_deg, recording_of_video
+from jaxmocap.synthetic.recording import write_video
+
+COUNT, SIZE = 12, (320, 480)
+PLACE = StandingCamera(1.4, 0.12, np.zeros(2))
+FOCAL = SIZE[1] / 2 / np.tan(np.radians(USUAL_FOV_DEG) / 2)
+LENS = Camera.create(
+    SIZE, np.array([[FOCAL, 0, (SIZE[0] - 1) / 2], [0, FOCAL, (SIZE[1] - 1) / 2], [0, 0, 1]])
+)
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory):
+    """A video of an empty wall."""
+    path = tmp_path_factory.mktemp("clip") / "clip.mp4"
+    write_video(path, [np.full((SIZE[1], SIZE[0], 3), 90, np.uint8)] * COUNT)
+    return path
+
+
+def walker(found: bool = True) -> Detector:
+    """Finds somebody upright who walks from 3 to 5 m away, or nobody."""
+    person = Skeleton.human(1.75)
+    points = np.array(landmarks(person, relaxed_pose(person)))
+    points[:, 2] += ANKLE_M - points[LANDMARKS.index("ankle_l"), 2]
+    frames = iter(np.linspace(3, 5, COUNT))
+
+    def detect(image, box):
+        if not found:
+            return None
+        moved = points + np.array([next(frames), 0.0, 0.0])
+        pixels = np.asarray(project(PLACE.placed(LENS), jnp.asarray(moved, float)))
+        marks = [LANDMARK_OF.get(name) for name in MODELS["COCO_17"]]
+        rows = [pixels[LANDMARKS.index(mark)] if mark else pixels[0] for mark in marks]
+        return np.column_stack([rows, np.ones(len(rows))])
+
+    @contextmanager
+    def opened():
+        yield detect
+
+    return Detector("COCO_17", opened)
+
+
+def test_a_recording_is_made_of_a_video_and_can_be_refined(clip, tmp_path):
+    made = recording_of_video(clip, 1.75, None, walker(), tmp_path / "recording")
+    assert made.path == tmp_path / "recording" / "recording.toml"
+    recording = Recording.load(made.path)
+    (source,) = recording.videos
+    assert source.path is not None and source.path.samefile(clip)
+    assert source.keypoints is not None and not recording.places
+    np.testing.assert_allclose(float(source.camera.position_world[2]), PLACE.height, atol=0.1)
+    assert f"{USUAL_FOV_DEG:g} degrees" in made.warnings[0] and "--fov" in made.warnings[0]
+    assert "above the floor" in made.warnings[1]
+    # Once more, into the same folder.
+    again = recording_of_video(clip, 1.75, 50.0, walker(), tmp_path / "recording")
+    assert len(again.warnings) == 1
+    focal = float(Recording.load(again.path).videos[0].camera.matrix[0, 0])
+    assert focal == pytest.approx(SIZE[1] / 2 / np.tan(np.radians(25)))
+
+
+@pytest.mark.parametrize(
+    ("height", "fov", "found", "expected"),
+    [
+        (9.0, None, True, "--height"),
+        (1.75, 170.0, True, "--fov: found 170, expected 5 to 150"),
+        (1.75, None, False, "found nobody in any frame"),
+    ],
+)
+def test_what_cannot_be_is_refused(clip, tmp_path, height, fov, found, expected):
+    with pytest.raises(InputError, match=expected):
+        recording_of_video(clip, height, fov, walker(found), tmp_path / "recording")
+
+
+def test_what_is_no_video_is_refused(tmp_path):
+    (tmp_path / "noise.mp4").write_bytes(bytes(range(256)) * 20)
+    with pytest.raises(InputError, match=r"noise.mp4: is not a video"):
+        recording_of_video(tmp_path / "noise.mp4", 1.75, None, walker(), tmp_path / "recording")
+
+
+def test_without_a_detector_the_sentence_says_how_to_make_its_environment(
+    clip, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(["video", str(clip), "--height", "1.75", "--out", "tracked"]) == 2
+    sentence = capsys.readouterr().err.splitlines()[-1]
+    assert "-m venv mp && mp/bin/pip install mediapipe" in sentence
+    assert not (tmp_path / "tracked").exists()
+
+
+@pytest.mark.parametrize(
+    ("metadata", "expected"),
+    [
+        ({}, None),
+        ({"com.apple.quicktime.camera.focal_length.35mm_equivalent": "26"}, 69.4),
+        ({"com.apple.quicktime.camera.focal_length.35mm_equivalent": "none"}, None),
+        ({"com.apple.quicktime.camera.focal_length.35mm_equivalent": "0"}, None),
+    ],
+)
+def test_a_phones_lens_is_read_from_its_file(metadata, expected):
+    found = file_fov_deg(SimpleNamespace(metadata=metadata))  # type: ignore[arg-type]
+    assert found == (expected if expected is None else pytest.approx(expected, abs=0.1))
