@@ -5,7 +5,7 @@ tracked person are predicted.
 OUTPUTS: Detections, a row per frame of the video; the tracked person's own pixels and confidences.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -24,6 +24,8 @@ from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, pixels_per_metre
 PERSON_GATE_M = 0.25
 # Nobody's points move by more than this share of their size from frame to frame.
 STEP_SHARE = 0.15
+# People who are followed to tell who is largest.
+TRIES = 4
 
 
 def open_keypoints(source: VideoSource, video: FrameSource) -> Detections | None:
@@ -158,35 +160,58 @@ def follow_person(keypoints: Detections, first_xy: np.ndarray | None = None) -> 
 
     Args:
         keypoints: of F frames.
-        first_xy: (P, 2) where the person is in the first frame; without it the largest one of the
-            frame in which somebody is largest is followed, forwards and backwards.
+        first_xy: (P, 2) where the person is in the first frame; without it whoever is largest is
+            followed, added up over all frames.
 
     Returns:
         Of F frames with one person each; NaN and 0 where the person is not among those detected.
     """
     pixels_xy = np.where(keypoints.confidences[..., None] > 0, keypoints.pixels_xy, np.nan)
-    chosen = np.full(len(pixels_xy), -1)
     if first_xy is None:
-        sizes = _extents(pixels_xy)
-        at, who = np.unravel_index(int(sizes.argmax()), sizes.shape)
-        chosen[at] = who
-        orders = range(int(at) + 1, len(chosen)), range(int(at) - 1, -1, -1)
-        last_xy = pixels_xy[at, who]
+        chosen = _largest_person(pixels_xy)
     else:
-        orders, last_xy = (range(len(chosen)),), np.asarray(first_xy, float)
-    begun = last_xy
-    for order in orders:
-        last_xy = begun
-        for frame in order:
-            gate_px = STEP_SHARE * float(_extents(last_xy))
-            chosen[frame] = choose_person(pixels_xy[frame], last_xy, gate_px)
-            if chosen[frame] >= 0:
-                here = pixels_xy[frame, chosen[frame]]
-                last_xy = np.where(np.isfinite(here), here, last_xy)
+        chosen = _followed(pixels_xy, np.asarray(first_xy, float), range(len(pixels_xy)))
     rows, is_there = np.arange(len(chosen)), chosen >= 0
     own_xy = np.where(is_there[:, None, None], pixels_xy[rows, chosen], np.nan)
     sure = np.where(is_there[:, None], keypoints.confidences[rows, chosen], 0.0)
     return replace(keypoints, pixels_xy=own_xy[:, None], confidences=sure[:, None])
+
+
+def _largest_person(pixels_xy: np.ndarray) -> np.ndarray:
+    """(F,) whom of each frame's N people a few tries follow that begin with the largest ones."""
+    sizes, best = _extents(pixels_xy), np.full(len(pixels_xy), -1)
+    left, largest, rows = sizes.copy(), 0.0, np.arange(len(pixels_xy))
+    for _ in range(TRIES):
+        at, who = np.unravel_index(int(left.argmax()), left.shape)
+        if left[at, who] <= 0:
+            break
+        chosen = np.full(len(rows), -1)
+        chosen[at] = who
+        for order in (range(int(at) + 1, len(rows)), range(int(at) - 1, -1, -1)):
+            ahead = _followed(pixels_xy, pixels_xy[at, who], order)
+            chosen = np.where(ahead >= 0, ahead, chosen)
+        found = rows[chosen >= 0]
+        total = float(sizes[found, chosen[found]].sum())
+        if total > largest:
+            best, largest = chosen, total
+        left[found, chosen[found]] = 0
+    return best
+
+
+def _followed(pixels_xy: np.ndarray, last_xy: np.ndarray, order: Iterable[int]) -> np.ndarray:
+    """(F,) who of each frame's people is the one last at (P, 2), frame by frame; -1 for nobody."""
+    chosen = np.full(len(pixels_xy), -1)
+    for frame in order:
+        gate_px = STEP_SHARE * float(_extents(last_xy))
+        distances = np.linalg.norm(pixels_xy[frame] - last_xy, axis=-1)
+        # Of somebody else who stands beside, some points may be near.
+        near = (distances <= gate_px).sum(-1) >= np.isfinite(distances).sum(-1) / 2
+        among = np.where(near[:, None, None], pixels_xy[frame], np.nan)
+        chosen[frame] = choose_person(among, last_xy, gate_px)
+        if chosen[frame] >= 0:
+            here = pixels_xy[frame, chosen[frame]]
+            last_xy = np.where(np.isfinite(here), here, last_xy)
+    return chosen
 
 
 def _extents(pixels_xy: np.ndarray) -> np.ndarray:

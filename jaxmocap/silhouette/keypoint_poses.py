@@ -61,8 +61,9 @@ class KeypointPoseSettings:
     keypoints: KeyPoints = group(lambda: KeyPoints(deviation=0.015), "of key points")  # type: ignore[arg-type]
     posture: RelaxedPosture = group(
         lambda: MostlyRelaxedPosture(ease=0.3),  # type: ignore[arg-type]
-        "of joints at ease",
+        "of most joints at ease",
     )
+    range: RelaxedPosture = group(RelaxedPosture, "of all joints about ease")
     pelvis: Pelvis = group(lambda: Pelvis(lean=0.3), "of how upright the pelvis is")  # type: ignore[arg-type]
     limits: JointLimits = group(JointLimits, "of the joints' ranges")
     floor: FeetOnFloor = group(FeetOnFloor, "of feet on the floor")
@@ -79,7 +80,8 @@ class KeypointPoseSettings:
     def terms(self) -> tuple[Term, ...]:
         """The terms of a frame."""
         return (
-            self.keypoints, self.posture, self.pelvis, self.limits, self.floor, self.balance,
+            self.keypoints, self.posture, self.range, self.pelvis, self.limits, self.floor,
+            self.balance,
         )  # fmt: skip
 
 

@@ -131,7 +131,7 @@ class Settings:
     edges: InnerEdgeSettings = field(default_factory=InnerEdgeSettings)
     iterations: int = 4
     predicted_deviation: float = 0.08
-    expected_deviation: float = 0.08
+    expected_deviation: float = 0.03
     expected_place: float = 0.01
     undetermined_deviation: float = 0.02
     rest: float = 1.0
@@ -147,7 +147,7 @@ class Settings:
     recovery: RecoverySettings = field(default_factory=RecoverySettings)
     smoothing: PoseSmoothingSettings | None = field(default_factory=PoseSmoothingSettings)
     terms: tuple[Term, ...] = field(
-        default_factory=lambda: (MarkerPositions(deviation=0.003), KeyPoints(deviation=0.01))  # type: ignore[arg-type]
+        default_factory=lambda: (MarkerPositions(deviation=0.003), KeyPoints(deviation=0.005))  # type: ignore[arg-type]
     )
     keypoint_poses: KeypointPoseSettings = field(default_factory=KeypointPoseSettings)
     least_matched_share: float = 0.4
