@@ -16,7 +16,9 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import Camera, project
+from jaxmocap.pipelines.keypoints import by_mediapipe
 from jaxmocap.pipelines.keypoints.detect import Detector
+from jaxmocap.pipelines.silhouettes import track
 from jaxmocap.pipelines.silhouettes.video import USUAL_FOV_DEG, file_fov_deg, recording_of_video
 from jaxmocap.synthetic.recording import write_video
 
@@ -103,6 +105,25 @@ def test_without_a_detector_the_sentence_says_how_to_make_its_environment(
     sentence = capsys.readouterr().err.splitlines()[-1]
     assert "-m venv mp && mp/bin/pip install mediapipe" in sentence
     assert not (tmp_path / "tracked").exists()
+
+
+def test_the_recording_within_the_folder_is_not_in_the_way_of_the_outputs(
+    clip, tmp_path, monkeypatch, capsys
+):
+    def follow(recording, *_, doubts, **__):
+        assert recording.path == tmp_path / "tracked" / "recording" / "recording.toml"
+        assert len(doubts) == 2
+        raise InputError("recording.toml", "enough")
+
+    monkeypatch.setattr(track, "track_silhouettes", follow)
+    monkeypatch.setattr(by_mediapipe, "mediapipe_detector", lambda *_: walker())
+    given = ["video", str(clip), "--height", "1.75", "--out", str(tmp_path / "tracked")]
+    assert main([*given, "--python", "any"]) == 2
+    assert capsys.readouterr().err.splitlines()[-1].endswith("recording.toml: enough")
+    # But a file of somebody else is.
+    (tmp_path / "tracked" / "joints.trc").write_text("mine")
+    assert main([*given, "--python", "any"]) == 2
+    assert "joints.trc" in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ than half of the frames.
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from jaxmocap.cli.command import Command, positive_number
@@ -35,7 +36,7 @@ def _run(options: argparse.Namespace) -> int:
     from jaxmocap.pipelines.silhouettes.doubt import lost_sentences
     from jaxmocap.pipelines.silhouettes.track import track_silhouettes
     from jaxmocap.pipelines.silhouettes.video import recording_of_video
-    from jaxmocap.pipelines.silhouettes.writing import write_results
+    from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results
     from jaxmocap.pipelines.summary import figures, summary
 
     keep_compiled()
@@ -43,9 +44,12 @@ def _run(options: argparse.Namespace) -> int:
     made = recording_of_video(
         options.video, options.height, options.fov, detector, out / FOLDER, progress=True
     )
+    # What was made within the folder is not in the way of what is written to it.
+    made_here, inputs = replace(made.recording, path=None), [Path(options.video)]
+    results_folder(out, made_here, inputs)
     followed = track_silhouettes(made.recording, doubts=made.warnings, progress=True)
     warnings: list[str] = []
-    files = write_results(followed, made.recording, out, True, warn=warnings.append)
+    files = write_results(followed, made_here, out, True, inputs=inputs, warn=warnings.append)
     given = followed.motion, [made.path, *files], warnings
     report(options, summary(*given), figures(*given))
     return exit_code(options, lost_sentences(followed.motion))
