@@ -141,7 +141,7 @@ def means(rows: list[Metric]) -> list[Metric]:
         same = [r for r in rows if (r.name.split(", ")[0], r.name.split(", ")[-1]) == key]
         values = [r.value for r in same]
         result.append(
-            Metric(f"{key[0]}, all {len(values)}, {key[1]}", np.mean(values), same[0].unit)
+            Metric(f"{key[0]}, all {len(values)}, {key[1]}", float(np.mean(values)), same[0].unit)
         )
     return result
 

@@ -245,7 +245,7 @@ def _descended(
 
     def step(_: int, now: tuple) -> tuple:
         pose, damping = now
-        r, J, *_ = linearised(terms, model, none, pose, measured)
+        r, J = linearised(terms, model, none, pose, measured)[:2]
         cost = jnp.sum(r**2) / 2
         H = jnp.matmul(J.T, J, precision=HIGHEST) + damping * jnp.eye(size, dtype=r.dtype)
         move = -jnp.linalg.solve(H, jnp.matmul(r, J, precision=HIGHEST))
