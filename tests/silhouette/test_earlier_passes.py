@@ -57,6 +57,16 @@ def test_where_an_earlier_pass_was_lost_too_its_limbs_are_not_taken(tracker, ear
     assert (state.velocity[ROOT_DOF:][ARM] != SPEEDS[ROOT_DOF:][ARM]).all()
 
 
+def test_a_lost_limb_is_where_key_points_have_it(tracker):
+    """In the very next frame, without an earlier pass or a search."""
+    state = begun(tracker, HANGING)
+    for frame in range(2):
+        state, _, _ = tracker.step(state, frame / 30, painted(tracker, HANGING))
+    _, pose, report = tracker.step(state, 2 / 30, painted(tracker, UP), expected=UP)
+    actual, true = (np.asarray(landmark_points(BODY, each)[WRIST]) for each in (pose, UP))
+    assert np.linalg.norm(actual - true) < 0.1 and not report.relocated.any()
+
+
 def test_an_arm_that_both_passes_have_in_place_is_left_alone(tracker):
     state = begun(tracker, UP)
     for frame in range(2):

@@ -13,13 +13,17 @@ from jaxmocap.body.pose import relaxed_pose, retract
 from jaxmocap.body.surfaces.surface import BodyPoints
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import settings, traced
+from jaxmocap.evidence.keypoints import KeyPoints, lines_of_sight
 from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.terms import Term
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.lines import Lines
 from jaxmocap.pipelines.silhouettes.track import make_silhouette_tracker
+from jaxmocap.silhouette.fit.cycles import term_evidence
 from jaxmocap.silhouette.pose import PoseSettings, TermEvidence, solve_pose
+from jaxmocap.silhouette.settings import Settings
+from jaxmocap.synthetic.drawing_camera import look_at
 
 SITES = Sites(
     np.array([BODY.tree.bone(name) for name in ("head", "radius_l", "radius_r")], np.int32),
@@ -55,6 +59,20 @@ def raised():
     step[ROOT_DOF + BODY.tree.joint("arm_abduct_l")] = 0.4
     step[ROOT_DOF + BODY.tree.joint("elbow_flex_r")] = 0.5
     return retract(START, jnp.asarray(step))
+
+
+def test_terms_without_measurements_have_no_part():
+    model, usual = Model(BODY, Sites.none(BODY.lengths.dtype)), Settings()
+    assert term_evidence(model, {}, usual) is None
+    camera = look_at((4.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+    pixels = np.full((1, 1, 2), 200.0)
+    lines = lines_of_sight(camera, ("wrist_l",), pixels, np.ones((1, 1)))
+    by_points = term_evidence(
+        model, {"sight_lines": jax.tree.map(lambda part: part[0], lines)}, usual
+    )
+    assert by_points is not None and [type(term) for term in by_points.terms] == [KeyPoints]
+    marked = term_evidence(Model(BODY, SITES), {}, usual)
+    assert marked is not None and [type(term) for term in marked.terms] == [MarkerPositions]
 
 
 def alone(positions, *more):
