@@ -130,7 +130,7 @@ def track_real(clip: Clip, settings: Settings) -> Result:
 def evaluated(
     clip: Clip,
     recording: Recording,
-    start: Pose,
+    start: Pose | None,
     settings: Settings | None = None,
     surface: Surface | None = None,
 ) -> Result:

@@ -38,6 +38,7 @@ from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
 from jaxmocap.evidence.expansion import expanded
+from jaxmocap.evidence.ground import FeetOnFloor
 from jaxmocap.evidence.keypoints import lines_of_sight
 from jaxmocap.evidence.markers import Goals, PointGoals, SearchedElbows
 from jaxmocap.evidence.posture import (
@@ -45,6 +46,7 @@ from jaxmocap.evidence.posture import (
     EasyPosture,
     EstimatedPose,
     LastPose,
+    MostlyRelaxedPosture,
     NearEstimate,
     Pelvis,
     Usual,
@@ -159,6 +161,7 @@ def another_moment() -> dict[str, Any]:
 
 
 MORE = SearchedElbows(), NearEstimate(), EasyPosture(), EdgeEvidence()
+MORE += FeetOnFloor(), MostlyRelaxedPosture()
 ALL = (*SETTINGS.terms, *GradientSettings().terms, *MORE)
 AREA = Chamfer(drawn=False)
 TERMS = {type(term).__name__: term for term in ALL} | {"EdgeEvidence over areas": AREA}
