@@ -58,7 +58,8 @@ def tracked(clip: Clip, camera: str, python: str, passes: int) -> Iterator[Metri
     (source,) = (video for video in recording.videos if video.camera_name == camera)
     with tempfile.TemporaryDirectory() as folder:
         # Without its markers: who it is and where follows from the key points.
-        alone = replace(recording, videos=(source,), places=())
+        none = recording.positions_world[:, :0]
+        alone = replace(recording, videos=(source,), places=(), positions_world=none)
         (found,) = detect_keypoints(alone, mediapipe_detector(python), Path(folder))
         source = replace(source, keypoints=found.file)
         motion = track_silhouettes(replace(alone, videos=(source,)), passes=passes).motion
