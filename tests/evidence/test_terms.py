@@ -192,7 +192,7 @@ def test_there_are_all_terms_of_the_package():
     package = Path(jaxmocap.__file__).parent
     files = [*package.glob("evidence/*.py"), *package.glob("hybrid/**/*.py")]
     declared = re.findall(
-        r"^class (\w+)\((?:Term|EdgeEvidence)\)", "".join(map(_text, files)), re.M
+        r"^class (\w+)\((?:Term|EdgeEvidence|RelaxedPosture)\)", "".join(map(_text, files)), re.M
     )
     assert sorted(declared) == sorted({type(term).__name__ for term in TERMS.values()})
 
