@@ -25,6 +25,8 @@ MOTIONS: dict[str, Callable[[float, int, float], Performance]] = {
     "tennis": lambda seconds, seed, azimuth: motions.table_tennis(seconds, seed),
     "thrust": lambda seconds, seed, azimuth: motions.thrust(seconds, seed, azimuth=azimuth),
     "reaching": lambda seconds, seed, azimuth: motions.reaching(seconds, seed),
+    "across": lambda seconds, seed, azimuth: motions.across(seconds, seed),
+    "raises": lambda seconds, seed, azimuth: motions.raises(seconds, seed),
     "squat": lambda seconds, seed, azimuth: motions.squat(seconds, seed),
 }
 ELBOWS = ("elbow_l", "elbow_r")

@@ -24,6 +24,10 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.tracking.track import track
 
 FEET = ("ankle", "toe")  # parts of their markers' names
+# An elbow is astray where it is farther off than that, metres,
+ASTRAY_M = 0.2
+# and that is stated where it is no farther off than so many of its deviations.
+STATED = 2.0
 
 
 class Sureness(NamedTuple):
@@ -77,6 +81,19 @@ class Result:
     def lag_frames(self) -> float:
         """Of the elbow that is farthest off, in frames of the video; NaN if that is unknown."""
         return self.calm.worst_lag / self.frame
+
+    @property
+    def astray(self) -> tuple[float, float]:
+        """Seconds for which elbows are astray, both together: with that stated, and without.
+
+        Without deviations nothing is stated.
+        """
+        off, step = self.video.distances, sample_step(self.video.times)
+        far, stated = off > ASTRAY_M, np.zeros(off.shape, bool)
+        if self.sureness is not None:
+            columns = [self.sureness.landmarks.index(name) for name in self.video.joints]
+            stated = off <= STATED * np.linalg.norm(self.sureness.deviations[:, columns], axis=-1)
+        return float((far & stated).sum() * step), float((far & ~stated).sum() * step)
 
     @property
     def wrong_share(self) -> float:

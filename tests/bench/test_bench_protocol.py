@@ -9,7 +9,7 @@ from small_recording import small_recording
 
 from bench import accuracy
 from bench.acceleration import AccelerationAndLag
-from bench.clips import REAL_LANDMARKS, Clip, real, synthetic
+from bench.clips import MOTIONS, REAL_LANDMARKS, Clip, real, synthetic
 from bench.criteria import covered, criteria, table
 from bench.evaluation import Result, Sureness, shaken, sureness_of
 from bench.wrong_turns import wrong_turns
@@ -89,6 +89,20 @@ def test_wrong_turns_miss_by_their_share_and_by_their_length():
     assert not actual["tennis, wrong turns"] and not actual["tennis, recovery"]
 
 
+def test_an_elbow_astray_is_stated_only_by_a_deviation_that_covers_it():
+    off = result("across", "a", 0.15, 0.01)
+    off.video.offsets[10:40, 0, 0] = 0.3
+    assert off.astray == (0.0, pytest.approx(30 / 90))
+    deviations = np.full(off.video.offsets.shape, 0.01)
+    deviations[10:20, 0, 0] = 0.2
+    sure = Sureness(off.video.joints, off.video.offsets, deviations, np.zeros((90, 2), bool))
+    off = replace(off, sureness=sure)
+    assert off.astray == (pytest.approx(10 / 90), pytest.approx(20 / 90))
+    text = accuracy.report({"across": [result("across", "b", 0.2, 0.01), off]}, causal=False)
+    rows = [line.split() for line in text.splitlines() if line.startswith("across, worst")]
+    assert rows[0][2] == "15.0"
+
+
 def test_confidence_is_demanded_of_each_coordinate_by_itself():
     rng = np.random.default_rng(0)
     offsets = rng.normal(scale=0.01, size=(5000, 2, 3))
@@ -127,6 +141,7 @@ def test_seeds_and_kinds_are_read_as_people_write_them(capsys):
     assert options.seeds == list(range(10))
     with pytest.raises(SystemExit):
         accuracy.parser().parse_args(["--only", "golf"])
+    assert accuracy.parser().parse_args([]).only == ["real", *MOTIONS]
     assert "expected of real, tennis" in capsys.readouterr().err
 
 

@@ -86,7 +86,7 @@ def moved(camera: Camera, T_world: np.ndarray) -> Camera:
 @pytest.mark.parametrize("azimuth", [-60.0, 0.0, 60.0])
 @pytest.mark.parametrize("five", [False, True])
 @pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.parametrize("kind", ["table_tennis", "squat", "reaching", "thrust"])
+@pytest.mark.parametrize("kind", ["table_tennis", "squat", "reaching", "across", "thrust"])
 def test_every_synthetic_movement_passes(kind, seed, azimuth, five):
     assert names(performed(getattr(motions, kind)(SECONDS, seed), azimuth, five)) == []
 

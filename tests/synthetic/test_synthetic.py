@@ -39,6 +39,8 @@ PERFORMANCES = {
     "table tennis": lambda seed: motions.table_tennis(SECONDS, seed),
     "squat": lambda seed: motions.squat(SECONDS, seed),
     "reaching": lambda seed: motions.reaching(SECONDS, seed),
+    "across": lambda seed: motions.across(SECONDS, seed),
+    "raises": lambda seed: motions.raises(SECONDS, seed),
     "thrust": lambda seed: motions.thrust(SECONDS, seed, azimuth=40.0),
 }
 

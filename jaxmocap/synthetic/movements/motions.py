@@ -1,4 +1,4 @@
-"""Movements of a synthetic person: table-tennis strokes, a squat, reaching, thrusts at a camera.
+"""Movements of a synthetic person: table tennis, squats, reaching, raises, thrusts at a camera.
 
 Key postures joined by smooth splines; a continuous function of time, so that markers, video and
 the instants within one exposure sample the same movement. Every stroke lifts the elbow its own
@@ -35,6 +35,10 @@ READY = Posture(
 STANDING = Posture(
     pelvis=(0.0, 0.0, -0.01), reach_l=(0.37, 0.21, -0.79), reach_r=(0.37, 0.21, -0.79)
 )
+# How far pelvis and chest turn with a hand that reaches across, degrees.
+TURN_DEG = (14.0, 28.0)
+# Where both hands are raised to, in arm lengths: to the front, to the sides, overhead.
+RAISED = ((0.90, 0.15, 0.10), (0.12, 0.90, 0.10), (0.30, 0.30, 0.82))
 # The posture between thrusts.
 GUARD = Posture(pelvis=(-0.01, 0.0, -0.05), pitch=3, flexion=5)
 # How far the fists are ahead of the shoulders between thrusts, arm lengths.
@@ -189,6 +193,44 @@ def reaching(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Perfo
         keys += [(now + 0.8, posture), (now + 1.1, posture)]
         starts.append(now)
         now += 1.1
+    return Performance(figure, spline_through(keys), np.array(starts))
+
+
+def across(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Performance:
+    """Left and right hand in turn to the other side, where the trunk turns along and stays."""
+    rng = np.random.default_rng([seed, 44])
+    figure = varied_figure(height, rng)
+    keys, starts, now = [(0.0, _eased(STANDING, rng))], [], 0.3
+    while not starts or now < seconds:
+        goal = np.array([0.7, rng.uniform(-0.75, -0.25), rng.uniform(-0.5, 0.35)])
+        goal *= rng.uniform(0.78, 0.92) / np.linalg.norm(goal)
+        side, other, turn = "lr"[len(starts) % 2], "rl"[len(starts) % 2], rng.uniform(*TURN_DEG)
+        turn = -turn if side == "l" else turn
+        flexion = rng.uniform(3, 10)
+        trunk = replace(
+            STANDING, pelvis=(0.0, 0.0, -0.02), yaw=0.3 * turn, twist=0.7 * turn, flexion=flexion
+        )
+        lifted = _lifted(trunk, rng, len(starts) // 2)
+        eased = getattr(_eased(trunk, rng), f"swivel_{other}")
+        changed: dict[str, Any] = {f"reach_{side}": tuple(goal), f"swivel_{other}": eased}
+        posture = replace(lifted, **changed)
+        keys += [(now + 0.8, posture), (now + 1.8, posture)]
+        starts.append(now)
+        now += 2.0
+    return Performance(figure, spline_through(keys), np.array(starts))
+
+
+def raises(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Performance:
+    """Both arms to the front, to the sides and overhead, and down again each time."""
+    rng = np.random.default_rng(seed)
+    figure = varied_figure(height, rng)
+    keys, starts, now = [(0.0, _eased(STANDING, rng))], [], 0.3
+    while not starts or now < seconds:
+        place = RAISED[len(starts) % len(RAISED)]
+        up = _eased(_varied(replace(STANDING, reach_l=place, reach_r=place), rng), rng)
+        keys += [(now + 0.7, up), (now + 1.0, up), (now + 1.7, _eased(STANDING, rng))]
+        starts.append(now)
+        now += 1.8
     return Performance(figure, spline_through(keys), np.array(starts))
 
 
