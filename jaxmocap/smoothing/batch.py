@@ -30,7 +30,7 @@ from jaxmocap.evidence.appearance.learned import (
 from jaxmocap.images.background_model import spread
 from jaxmocap.images.foreground import shrink
 from jaxmocap.smoothing.elbow_viterbi import elbow_goals
-from jaxmocap.smoothing.facing import references
+from jaxmocap.smoothing.facing import facing_in_time, references
 from jaxmocap.smoothing.linearise import rows_of, smooth_poses
 from jaxmocap.smoothing.problem import (
     TURN,
@@ -153,6 +153,9 @@ def solve_recording(
     if not cameras:
         return None
     measured = measurements_of(model, first_pass)
+    if model.no_foot_is_marked:
+        by_markers = first_pass.reports.marker_pose
+        measured["facing"] = facing_in_time(model, settings, first_pass.times, measured, by_markers)
 
     def measured_about(trajectory: Trajectory) -> SmoothingProblem:
         views = _views(model, cameras, trajectory)
