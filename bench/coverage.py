@@ -12,6 +12,7 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,15 +22,21 @@ from bench.command_line import add_rendered, command
 from bench.evaluation import Sureness, sureness_of
 from bench.interval_coverage import interval_coverage
 from bench.metrics import Metric, aligned, write_json
-from bench.silhouette import REAL, prepared
+from bench.silhouette import REAL
 from jaxmocap.body.motion import Motion
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
 from jaxmocap.pipelines.silhouettes.track import track_silhouettes
 from jaxmocap.pipelines.tracking.track import track
+from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
+from jaxmocap.synthetic.people.rigged_mesh import load_rig
+from jaxmocap.synthetic.photographs import rest_height
 
 KINDS = ("elbow", "shoulder", "hip", "knee", "wrist")
 WAYS: dict[str, Mode] = {"hybrid": "own", "causal": "causal"}
@@ -46,8 +53,8 @@ def sureness(options: argparse.Namespace, keep: Path) -> Iterator[tuple[str, Sur
             continue
         clips = [("real", clip) for clip in real(folder)]
         for motion in MOTIONS:
-            rendered = synthetic(motion, options.seeds, AZIMUTHS_DEG, 6.0, keep)
-            clips += [(motion, clip) for clip in rendered]
+            played = synthetic(motion, options.seeds, AZIMUTHS_DEG, 6.0, keep)
+            clips += [(motion, clip) for clip in played]
         for kind, clip in clips:
             print(f"{way}: {clip.name}", file=sys.stderr, flush=True)
             yield f"{way}, {kind}", _stated(clip, track(Recording.load(clip.path), mode=mode))
@@ -57,11 +64,24 @@ def sureness(options: argparse.Namespace, keep: Path) -> Iterator[tuple[str, Sur
         start = start_pose(recording, body=Settings.body)
         tracked = track_silhouettes(recording, start, progress=True).motion
         yield f"{SILHOUETTES}, real, four cameras", _stated(clip, tracked)
-        people, file = options.people.split(","), folder / "person" / "person.npz"
-        for clip in exercises(file, EXERCISES, options.seeds, people, options.seconds, keep):
+        for clip, recording, start in rendered(options, folder / "person" / "person.npz", keep):
             for cameras in (4, 2):
-                tracked = track_silhouettes(*prepared(clip, cameras, Settings()), progress=True)
-                yield f"{SILHOUETTES}, rendered, {cameras} cameras", _stated(clip, tracked.motion)
+                some = replace(recording, videos=recording.videos[:cameras])
+                tracked = track_silhouettes(some, start, progress=True).motion
+                yield f"{SILHOUETTES}, rendered, {cameras} cameras", _stated(clip, tracked)
+
+
+def rendered(
+    options: argparse.Namespace, file: Path, keep: Path
+) -> Iterator[tuple[Clip, Recording, Pose]]:
+    """Exercises of people by their heights, as most have nothing else; first poses of the truth."""
+    for who in options.people.split(","):
+        skeleton = Skeleton.human(rest_height(load_rig(file, who)))
+        for clip in exercises(file, EXERCISES, options.seeds, [who], options.seconds, keep):
+            truth, nothing = read_trc(clip.truth).points(), np.full(3, np.nan)
+            first = np.array([truth[name][0] if name in truth else nothing for name in LANDMARKS])
+            recording = replace(Recording.load(clip.path), skeleton=skeleton)
+            yield clip, recording, pose_at_landmarks(with_joints(skeleton, Settings.body), first)
 
 
 def _stated(clip: Clip, motion: Motion) -> Sureness:

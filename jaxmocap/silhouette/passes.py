@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
@@ -101,15 +102,17 @@ class PassResult:
         """(F, ...) as they were found."""
         return jax.tree.map(lambda *parts: np.stack(parts), *(each.pose for each in self.estimates))
 
-    def smoothed(self, constants: TrackerConstants) -> Pose:
-        """(F, ...) as all frames together have them."""
+    def smoothed(self, constants: TrackerConstants) -> tuple[Pose, np.ndarray]:
+        """(F, ...) as all frames together have them, and how sure (F, L, 3); NaN unsmoothed."""
         how = constants.settings.smoothing
         if how is None:
-            return self.poses()
+            return self.poses(), np.full((len(self.times), len(LANDMARKS), 3), np.nan)
         information = FrameInformation(
             self.poses(),
             np.stack([report.information for report in self.reports]),
             np.stack([report.slope for report in self.reports]),
+            np.array([report.spread for report in self.reports], float),
+            np.array([report.used.sum() for report in self.reports]),
         )
         skeleton, rest, morph = (
             self.body.shape.skeleton, constants.rest_deviations, constants.finder.morph,

@@ -12,7 +12,7 @@ It is the batch smoother of the smoothing room with two terms: what each frame e
 at rest.
 
 INPUTS: poses, Hessians and slopes of all frames, a Morph where joints go along.
-OUTPUTS: the poses that suit them all.
+OUTPUTS: the poses that suit them all, and how sure they are.
 """
 
 from functools import partial
@@ -33,7 +33,13 @@ from jaxmocap.evidence.posture import EstimatedPose, NearEstimate
 from jaxmocap.evidence.smoothness import REACH, accelerations_of, smoothness
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.silhouette.surfaces.morph import Morph, without_followers
-from jaxmocap.smoothing.levenberg_marquardt import SolverSettings, minimise, positive
+from jaxmocap.smoothing.levenberg_marquardt import (
+    SolverSettings,
+    covariances,
+    minimise,
+    point_variances,
+    positive,
+)
 from jaxmocap.smoothing.linearise import linearise_problem, two_workers
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, moved_by
 
@@ -41,6 +47,15 @@ from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, move
 FRAMES_A_CALL = 32
 # Steps in each round. The frames' quadratics hold near the estimates only: more are not worth it.
 STEPS = 3
+# Some hundred pairs of a frame err alike, where the person is not as the surface: deviations are so
+# many times larger than by counting each of them.
+PAIRS_ERR_ALIKE = 10.0
+# By how many times the pairs' own scatter joints are misplaced that a surface is fitted round; by
+# more with fewer cameras, since a wrong surface suits few. Four rendered people by their heights,
+# by their bones, and a real one, two to four cameras (``bench.coverage``).
+MISPLACED = 2.5
+# Hips lie deep in the flesh, knees err with them, and feet are short: so many times more.
+MISPLACED_MORE = {"hip": 1.4, "knee": 1.2, "toe": 2.0}
 
 
 @settings
@@ -69,11 +84,15 @@ class FrameInformation(NamedTuple):
         poses: (T, ...) as estimated.
         information: (T, 6 + D, 6 + D) of ``PoseResult``; 0 where nothing was visible.
         slope: (T, 6 + D) likewise.
+        spread: (T,) standard deviation of the pairs, metres.
+        cameras: (T,) how many counted.
     """
 
     poses: Pose
     information: np.ndarray
     slope: np.ndarray
+    spread: np.ndarray
+    cameras: np.ndarray
 
 
 class PoseSmoothingSettings(NamedTuple):
@@ -104,8 +123,8 @@ def smoothed_poses(
     rest: np.ndarray,
     settings: PoseSmoothingSettings,
     morph: Morph | None = None,
-) -> Pose:
-    """The poses (T, ...) of a whole recording.
+) -> tuple[Pose, np.ndarray]:
+    """The poses (T, ...) of a whole recording, and standard deviations (T, L, 3) of landmarks.
 
     Args:
         skeleton: of the person.
@@ -114,26 +133,44 @@ def smoothed_poses(
         rest: (D,) deviations of joints that are held about 0, radians; infinite for the others.
         settings: how smoothly.
         morph: what goes along with the joints' angles: such joints are held about where they go.
+
+    Returns:
+        The deviations are of the world's coordinates, metres; NaN of a recording of two frames.
     """
     if len(times) <= REACH:
-        return information.poses
+        return information.poses, np.full((len(times), len(LANDMARKS), 3), np.nan)
     problem = _problem(skeleton, times, information, (rest, morph), settings.pose_deviation)
+    no_lengths = np.zeros(0, skeleton.lengths.dtype)
 
     def smoothly(poses: Pose, accelerations: np.ndarray) -> Pose:
-        start = Trajectory(poses, np.zeros(0, skeleton.lengths.dtype))
+        start = Trajectory(poses, no_lengths)
         prior = smoothness(times, accelerations)
         with two_workers() as workers:
             linearise = partial(linearise_problem, problem, 0.0, workers)
             move = partial(_moved, skeleton)
             return minimise(linearise, move, start, prior, SolverSettings(iterations=STEPS)).x.poses
 
-    poses = smoothly(information.poses, np.full(3 * len(LANDMARKS), settings.acceleration))
+    own = np.full(len(LANDMARKS), settings.acceleration)
+    poses = smoothly(information.poses, np.repeat(own, 3))
     for _ in range(settings.rounds):
         own = settings.own_share * _accelerations(skeleton, times, poses)
         # A limb that was lost and found again has large ones too: never looser than at first.
         own = np.clip(own, settings.least_acceleration, settings.acceleration)
         poses = smoothly(poses, np.repeat(own, 3))
-    return poses
+    prior, trajectory = smoothness(times, np.repeat(own, 3)), Trajectory(poses, no_lengths)
+    with two_workers() as workers:
+        linear = linearise_problem(problem, 0.0, workers, trajectory)
+    variances = point_variances(linear.jacobian, covariances(linear, prior))
+    return poses, _deviations(variances.reshape(len(times), -1, 3), information)
+
+
+def _deviations(variances: np.ndarray, information: FrameInformation) -> np.ndarray:
+    """(T, L, 3) by variances that count each pair for itself, and by how the pairs scatter."""
+    cameras = np.maximum(information.cameras, 1)
+    misplaced = MISPLACED * np.sqrt(1 + 4 / cameras) * information.spread
+    more = [MISPLACED_MORE.get(name.split("_")[0], 1.0) for name in LANDMARKS]
+    misplaced = np.outer(misplaced, more)[..., None]
+    return np.hypot(PAIRS_ERR_ALIKE * np.sqrt(variances), misplaced)
 
 
 def _problem(

@@ -19,6 +19,8 @@ FRAMES = 40
 TIMES = np.arange(FRAMES) / 30
 # Information of a sharp pose, and of none at all.
 SURE, UNSURE = 1e8, 1e-6
+# Scatter of pairs, metres.
+SPREAD = 0.01
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +47,17 @@ def information_of(poses: Pose, sureness: np.ndarray | float) -> FrameInformatio
     """Frames of which each tells all directions alike; (T,) how surely."""
     size = 6 + poses.angles.shape[1]
     each = np.broadcast_to(sureness, len(poses.angles))
-    return FrameInformation(poses, each[:, None, None] * np.eye(size), np.zeros((len(each), size)))
+    return frames_of(poses, each[:, None, None] * np.eye(size), np.zeros((len(each), size)))
+
+
+def frames_of(poses: Pose, information: np.ndarray, slope: np.ndarray) -> FrameInformation:
+    """By four cameras whose pairs scatter by a centimetre."""
+    count = len(slope)
+    return FrameInformation(poses, information, slope, np.full(count, SPREAD), np.full(count, 4))
+
+
+def smooth(*arguments) -> Pose:
+    return smoothed_poses(*arguments)[0]
 
 
 def free(skeleton: Skeleton) -> np.ndarray:
@@ -58,7 +70,7 @@ def places(skeleton: Skeleton, poses: Pose) -> np.ndarray:
 
 def test_what_frames_are_sure_of_stays(skeleton):
     truth = swinging(skeleton)
-    actual = smoothed_poses(
+    actual = smooth(
         skeleton, TIMES, information_of(truth, SURE), free(skeleton), PoseSmoothingSettings()
     )
     np.testing.assert_allclose(places(skeleton, actual), places(skeleton, truth), atol=1e-3)
@@ -73,9 +85,7 @@ def test_frames_that_show_nothing_lie_between_the_others(skeleton):
     sureness = np.full(FRAMES, SURE)
     sureness[unseen] = 0.0
     wide = PoseSmoothingSettings(pose_deviation=10.0)
-    bridged = smoothed_poses(
-        skeleton, TIMES, information_of(actual, sureness), free(skeleton), wide
-    )
+    bridged = smooth(skeleton, TIMES, information_of(actual, sureness), free(skeleton), wide)
     before, after = (
         np.linalg.norm(places(skeleton, each) - places(skeleton, truth), axis=-1)[unseen].max()
         for each in (actual, bridged)
@@ -88,7 +98,7 @@ def test_noise_is_taken_out_and_the_motion_left(skeleton):
     rng, truth = np.random.default_rng(3), swinging(skeleton)
     noise = rng.normal(0, 0.02, (FRAMES, 6 + truth.angles.shape[1])).astype(np.float32)
     shaken = jax.tree.map(np.asarray, retract(truth, jnp.asarray(noise)))
-    calm = smoothed_poses(
+    calm = smooth(
         skeleton,
         TIMES,
         information_of(shaken, 1 / 0.02**2),
@@ -117,7 +127,7 @@ def test_who_stands_still_does_so_beside_what_swings(skeleton):
     measured, exact = information_of(shaken, 1 / 0.01**2), places(skeleton, truth)
     foot, hand = (LANDMARKS.index(name) for name in ("ankle_l", "wrist_l"))
     alike, own = (
-        places(skeleton, smoothed_poses(skeleton, TIMES, measured, free(skeleton), settings))
+        places(skeleton, smooth(skeleton, TIMES, measured, free(skeleton), settings))
         for settings in (PoseSmoothingSettings(rounds=0), PoseSmoothingSettings(own_share=1.0))
     )
 
@@ -138,10 +148,10 @@ def test_slopes_lead_from_where_prediction_dragged(skeleton):
     behind[:, 0] = -0.05
     lagging = jax.tree.map(np.asarray, retract(truth, jnp.asarray(behind)))
     size = behind.shape[1]
-    measured = FrameInformation(
+    measured = frames_of(
         lagging, np.broadcast_to(SURE * np.eye(size), (FRAMES, size, size)), SURE * behind
     )
-    actual = smoothed_poses(skeleton, TIMES, measured, free(skeleton), PoseSmoothingSettings())
+    actual = smooth(skeleton, TIMES, measured, free(skeleton), PoseSmoothingSettings())
     np.testing.assert_allclose(places(skeleton, actual), places(skeleton, truth), atol=1e-3)
 
 
@@ -154,15 +164,27 @@ def test_a_body_that_is_only_shifted_is_smoothed_as_a_dense_solve_says(skeleton)
     weights = np.full(size, 1e9)
     weights[:3] = 400.0
     settings = PoseSmoothingSettings(acceleration=2.0, rounds=0, pose_deviation=1e3)
-    measured = FrameInformation(
-        shaken, np.stack([np.diag(weights)] * FRAMES), np.zeros((FRAMES, size))
-    )
-    actual = smoothed_poses(skeleton, TIMES, measured, free(skeleton), settings)
+    measured = frames_of(shaken, np.stack([np.diag(weights)] * FRAMES), np.zeros((FRAMES, size)))
+    actual, deviations = smoothed_poses(skeleton, TIMES, measured, free(skeleton), settings)
     h = TIMES[1]
     second = (np.eye(FRAMES)[:-2] - 2 * np.eye(FRAMES)[1:-1] + np.eye(FRAMES)[2:]) / h**1.5
     stiff = len(LANDMARKS) / settings.acceleration**2 * second.T @ second
     dense = np.linalg.solve(400.0 * np.eye(FRAMES) + stiff, 400.0 * shaken.position)
     np.testing.assert_allclose(actual.position, dense, atol=2e-4)
+    counted = np.diag(np.linalg.inv(400.0 * np.eye(FRAMES) + stiff))
+    expected = np.hypot(10 * np.sqrt(counted), 2.5 * 2**0.5 * SPREAD)
+    pelvis = deviations[:, LANDMARKS.index("pelvis")]
+    np.testing.assert_allclose(pelvis, np.tile(expected[:, None], 3), rtol=1e-3)
+
+
+def test_fewer_cameras_are_less_sure(skeleton):
+    four = information_of(swinging(skeleton), SURE)
+    two = four._replace(cameras=np.full(FRAMES, 2))
+    stated = [
+        smoothed_poses(skeleton, TIMES, each, free(skeleton), PoseSmoothingSettings())[1]
+        for each in (four, two)
+    ]
+    assert (stated[1] > 1.15 * stated[0]).all()
 
 
 def test_no_joint_leaves_its_range(skeleton):
@@ -172,7 +194,7 @@ def test_no_joint_leaves_its_range(skeleton):
     # Pairs that would stretch it beyond.
     slope[:, 6 + elbow] = 10 * 400.0
     measured = information_of(truth, 400.0)._replace(slope=slope)
-    actual = smoothed_poses(
+    actual = smooth(
         skeleton, TIMES, measured, free(skeleton), PoseSmoothingSettings(pose_deviation=10.0)
     )
     low, high = np.asarray(skeleton.limits, float).T
@@ -185,7 +207,7 @@ def test_joints_held_at_rest_are_drawn_there_where_pairs_say_nothing(skeleton):
     truth, rest = swinging(skeleton), free(skeleton)
     elbow = skeleton.tree.joints.index("elbow_flex_l")
     rest[elbow] = 1e-3
-    actual = smoothed_poses(
+    actual = smooth(
         skeleton,
         TIMES,
         information_of(truth, UNSURE),
@@ -212,7 +234,7 @@ def test_joints_that_go_along_are_held_where_they_go(skeleton):
     assert (went > 0.1).any()
     sureness = 1e4
     actual, without = (
-        smoothed_poses(
+        smooth(
             skeleton, TIMES, information_of(truth, sureness), rest, PoseSmoothingSettings(), goes
         )
         for goes in (morph, None)
@@ -226,7 +248,7 @@ def test_joints_that_go_along_are_held_where_they_go(skeleton):
 
 def test_two_frames_have_no_acceleration_and_stay(skeleton):
     two = jax.tree.map(lambda part: part[:2], swinging(skeleton))
-    actual = smoothed_poses(
+    actual = smooth(
         skeleton, TIMES[:2], information_of(two, SURE), free(skeleton), PoseSmoothingSettings()
     )
     np.testing.assert_array_equal(actual.angles, two.angles)

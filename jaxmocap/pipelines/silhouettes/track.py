@@ -28,12 +28,12 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.background_model import Background
 from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
-from jaxmocap.pipelines.silhouettes.doubt import keypoint_distances, lost_status
+from jaxmocap.pipelines.silhouettes.doubt import LOST, keypoint_distances, lost_status
 from jaxmocap.pipelines.silhouettes.keypoints import KeypointGuide, keypoint_guide
 from jaxmocap.silhouette.passes import FrameBundle, PassResult, PassSettings, run_passes
 from jaxmocap.silhouette.segmentation.background_models import background_of_picture
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.silhouette.state import StepReport, TrackerConstants
+from jaxmocap.silhouette.state import StepReport
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 # A photographed surface's deviations by a generic one's: what was photographed needs less
@@ -198,11 +198,11 @@ def track_silhouettes(
         "tracker": constants.settings,
     }
     tracked = perf_counter()
-    shape, poses = result.body.shape, result.smoothed(constants)
+    shape, (poses, deviations) = result.body.shape, result.smoothed(constants)
     spent = {"passes": tracked - began, "smoothing": perf_counter() - tracked}
     described |= {"video_frames": len(footage.times), "seconds": spent}
     report = _report(
-        result, constants, names, plain(described), _distances(guide, shape.skeleton, poses)
+        result, deviations, names, plain(described), _distances(guide, shape.skeleton, poses)
     )
     motion = Motion(shape.skeleton, footage.times, poses, report, recording.origin_world)
     regions = [report.outlines.region for report in result.reports]
@@ -264,7 +264,7 @@ def _distances(guide: KeypointGuide | None, skeleton: Skeleton, poses: Pose) -> 
 
 def _report(
     result: PassResult,
-    constants: TrackerConstants,
+    deviations: np.ndarray,
     names: Sequence[str],
     settings: dict,
     distances: np.ndarray | None,
@@ -272,18 +272,19 @@ def _report(
     """How well each frame's pose is determined, and its warnings."""
     count = len(result.times)
     none = np.full((count, 2), np.nan)
-    # What the outlines alone say of their own scatter is far less than the errors.
-    deviations = np.full((count, len(LANDMARKS), 3), np.nan)
     joints = result.body.shape.skeleton.tree.joints
     off = np.full(count, np.nan) if distances is None else distances
     statuses = tuple(
         (*lost_status(report.used, distance), *_warnings(report, names, joints))
         for report, distance in zip(result.reports, off, strict=True)
     )
+    # Nobody knows how far off a person is who is lost.
+    lost = [any(status.startswith(LOST) for status in each) for each in statuses]
+    deviations = np.where(np.array(lost)[:, None, None], np.nan, deviations)
     milliseconds = {"frame": np.array(result.milliseconds)}
     return Report(
-        (), np.zeros((count, 0)), none, none, deviations, deviations[..., 0], statuses,
-        milliseconds, settings,
+        (), np.zeros((count, 0)), none, none, deviations, np.full(deviations.shape[:2], np.nan),
+        statuses, milliseconds, settings,
     )  # fmt: skip
 
 
