@@ -16,6 +16,8 @@ from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.solvers.robust import shortened
 
 ANKLES = landmark_rows(("ankle_l", "ankle_r"))
+# The floor gives way by about so much, metres.
+SOFT_M = 0.005
 
 
 @settings
@@ -49,4 +51,6 @@ class FeetOnFloor(Term):
         """(1 + L,)."""
         heights = body.landmarks[:, 2]
         standing = (jnp.min(heights[ANKLES]) - self.ankle)[None] / self.height
-        return jnp.concatenate([shortened(standing), jnp.minimum(heights, 0.0) / self.height])
+        # A smooth minimum of height and 0.
+        below = (heights - jnp.sqrt(heights**2 + SOFT_M**2)) / 2
+        return jnp.concatenate([shortened(standing), below / self.height])
