@@ -87,17 +87,23 @@ def test_where_key_points_lie_is_measured_frame_by_frame():
 
 
 @pytest.mark.parametrize(
-    ("used", "distance", "expected"),
+    ("used", "distance", "needs_points", "expected"),
     [
-        ([True], 0.02, ()),
-        ([True], np.nan, ()),
-        ([False, False], np.nan, ("lost: no camera's outline is explained",)),
-        ([True], 0.4, ("lost: key points lie 40 cm off",)),
-        ([False], 0.4, ("lost: no camera's outline is explained, key points lie 40 cm off",)),
+        ([True], 0.02, True, ()),
+        ([True], np.nan, False, ()),
+        ([True], np.nan, True, ("lost: one camera and no key points",)),
+        ([False, False], np.nan, False, ("lost: no camera's outline is explained",)),
+        ([True], 0.4, True, ("lost: key points lie 40 cm off",)),
+        (
+            [False],
+            0.4,
+            False,
+            ("lost: no camera's outline is explained, key points lie 40 cm off",),
+        ),
     ],
 )
-def test_a_frame_in_which_the_person_is_lost_says_so(used, distance, expected):
-    assert lost_status(np.array(used), distance) == expected
+def test_a_frame_in_which_the_person_is_lost_says_so(used, distance, needs_points, expected):
+    assert lost_status(np.array(used), distance, needs_points) == expected
 
 
 @pytest.mark.parametrize(("lost", "count"), [(2, 0), (3, 1)])

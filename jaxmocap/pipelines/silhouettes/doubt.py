@@ -75,14 +75,17 @@ def keypoint_distances(points_world: np.ndarray, lines: SightLines) -> np.ndarra
     return distances
 
 
-def lost_status(used: np.ndarray, distance_m: float) -> tuple[str, ...]:
+def lost_status(used: np.ndarray, distance_m: float, needs_points: bool) -> tuple[str, ...]:
     """What a frame's report says where the person is lost; empty where not.
 
     Args:
         used: (C,) cameras whose outline the pose explains.
-        distance_m: of ``keypoint_distances``.
+        distance_m: of ``keypoint_distances``; NaN without any.
+        needs_points: whether key points are all that helps one camera.
     """
     problems = [] if used.any() else ["no camera's outline is explained"]
+    if needs_points and np.isnan(distance_m):
+        problems.append("one camera and no key points")
     if distance_m > FAR_OFF_M:
         problems.append(f"key points lie {100 * distance_m:.0f} cm off")
     return (LOST + ", ".join(problems),) if problems else ()

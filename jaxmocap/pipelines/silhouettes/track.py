@@ -274,8 +274,9 @@ def _report(
     none = np.full((count, 2), np.nan)
     joints = result.body.shape.skeleton.tree.joints
     off = np.full(count, np.nan) if distances is None else distances
+    needs_points = distances is not None and len(names) == 1 and not settings["markers"]
     statuses = tuple(
-        (*lost_status(report.used, distance), *_warnings(report, names, joints))
+        (*lost_status(report.used, distance, needs_points), *_warnings(report, names, joints))
         for report, distance in zip(result.reports, off, strict=True)
     )
     # Nobody knows how far off a person is who is lost.
