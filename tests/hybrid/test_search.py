@@ -1,4 +1,4 @@
-"""The search finds elbows that markers put elsewhere, doubts, remembers and forgets."""
+"""The search finds elbows that markers put elsewhere, warnings_before, remembers and forgets."""
 
 from dataclasses import replace
 

@@ -110,9 +110,9 @@ def test_without_a_detector_the_sentence_says_how_to_make_its_environment(
 def test_the_recording_within_the_folder_is_not_in_the_way_of_the_outputs(
     clip, tmp_path, monkeypatch, capsys
 ):
-    def follow(recording, *_, doubts, **__):
+    def follow(recording, *_, warnings_before, **__):
         assert recording.path == tmp_path / "tracked" / "recording" / "recording.toml"
-        assert len(doubts) == 2
+        assert len(warnings_before) == 2
         raise InputError("recording.toml", "enough")
 
     monkeypatch.setattr(track, "track_silhouettes", follow)

@@ -82,8 +82,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     from jaxmocap.body.skeleton import with_joints
     from jaxmocap.pipelines.kept_programs import keep_compiled
-    from jaxmocap.pipelines.silhouettes.doubt import check_determined, lost_sentences
     from jaxmocap.pipelines.silhouettes.first_pose import morphing_for, start_pose
+    from jaxmocap.pipelines.silhouettes.lost_person import check_determined, lost_sentences
     from jaxmocap.pipelines.silhouettes.person import person_files, with_model
     from jaxmocap.pipelines.silhouettes.track import track_silhouettes
     from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results
@@ -97,7 +97,7 @@ def _run(options: argparse.Namespace) -> int:
     morphing = morphing_for(body, surface, options.shoulders, options.morphing)
     inputs = [*model_files, Path(options.morphing)] if options.morphing else model_files
     results_folder(options.out, recording, inputs)
-    doubts = check_determined(recording, options.markers, options.guess)
+    warnings_before = check_determined(recording, options.markers, options.guess)
     start = start_pose(recording, options.at, settings.body)
     followed = track_silhouettes(
         recording,
@@ -108,7 +108,7 @@ def _run(options: argparse.Namespace) -> int:
         surface=surface,
         settings=replace(settings, morphing=morphing),
         progress=True,
-        doubts=doubts,
+        warnings_before=warnings_before,
     )
     warnings: list[str] = []
     where = recording, options.out, True, person, inputs, warnings.append

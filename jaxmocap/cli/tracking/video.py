@@ -33,7 +33,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from jaxmocap.pipelines.kept_programs import keep_compiled
-    from jaxmocap.pipelines.silhouettes.doubt import lost_sentences
+    from jaxmocap.pipelines.silhouettes.lost_person import lost_sentences
     from jaxmocap.pipelines.silhouettes.track import track_silhouettes
     from jaxmocap.pipelines.silhouettes.video import recording_of_video
     from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results
@@ -47,7 +47,7 @@ def _run(options: argparse.Namespace) -> int:
     # What was made within the folder is not in the way of what is written to it.
     made_here, inputs = replace(made.recording, path=None), [Path(options.video)]
     results_folder(out, made_here, inputs)
-    followed = track_silhouettes(made.recording, doubts=made.warnings, progress=True)
+    followed = track_silhouettes(made.recording, warnings_before=made.warnings, progress=True)
     warnings: list[str] = []
     files = write_results(followed, made_here, out, True, inputs=inputs, warn=warnings.append)
     given = followed.motion, [made.path, *files], warnings

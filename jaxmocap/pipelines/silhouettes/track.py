@@ -28,8 +28,8 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.background_model import Background
 from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
-from jaxmocap.pipelines.silhouettes.doubt import LOST, keypoint_distances, lost_status
 from jaxmocap.pipelines.silhouettes.keypoints import KeypointGuide, keypoint_guide
+from jaxmocap.pipelines.silhouettes.lost_person import LOST, keypoint_distances, lost_status
 from jaxmocap.silhouette.passes import FrameBundle, PassResult, PassSettings, run_passes
 from jaxmocap.silhouette.segmentation.background_models import background_of_picture
 from jaxmocap.silhouette.settings import Settings
@@ -137,7 +137,7 @@ def track_silhouettes(
     surface: Surface | None = None,
     lengths: bool = False,
     progress: Progress | bool | None = None,
-    doubts: Sequence[str] = (),
+    warnings_before: Sequence[str] = (),
 ) -> SilhouetteResult:
     """Track the person in a recording's videos.
 
@@ -155,7 +155,7 @@ def track_silhouettes(
         lengths: whether passes before the last correct the bones' lengths as well.
         progress: called with the frames done and their total; True shows a bar
             on stderr; None does so on a terminal.
-        doubts: warnings of what was found beforehand.
+        warnings_before: warnings of what was found beforehand.
 
     Returns:
         One pose per instant of the videos, and the level sets.
@@ -194,7 +194,7 @@ def track_silhouettes(
         "recording": recording.path or recording.name,
         "cameras": names,
         "markers": recording.marker_names if markers else (),
-        "warnings": (*doubts, *warnings, *at_rest),
+        "warnings": (*warnings_before, *warnings, *at_rest),
         "tracker": constants.settings,
     }
     tracked = perf_counter()

@@ -142,8 +142,8 @@ def _place(
         taken = f"a level camera {SOMEWHERE.height:g} m above the floor was taken"
         return SOMEWHERE, [f"hardly any frame shows hips, shoulders and ankles: {taken}"]
     height, pitch = place.deviations
-    told = (
+    found = (
         f"by the person the camera is {place.height:.2f} ± {height:.2f} m above the floor "
         f"and looks {np.degrees(place.pitch):.0f} ± {np.degrees(pitch):.0f} degrees downwards"
     )
-    return place, [f"{told}; {CALIBRATION} beside the recording can be refined"]
+    return place, [f"{found}; {CALIBRATION} beside the recording can be refined"]

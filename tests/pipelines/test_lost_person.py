@@ -14,7 +14,7 @@ from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.cameras.video_sources import VideoSource
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, write_recording
-from jaxmocap.pipelines.silhouettes.doubt import (
+from jaxmocap.pipelines.silhouettes.lost_person import (
     check_determined,
     keypoint_distances,
     lost_sentences,
@@ -47,8 +47,8 @@ def test_one_camera_alone_is_refused_before_anything_is_tracked(tmp_path, capsys
 
 def test_a_guess_is_marked(tmp_path):
     loaded = Recording.load(recording(tmp_path, *ring(1)))
-    (doubt,) = check_determined(loaded, False, True)
-    assert doubt.startswith("a guess")
+    (warning,) = check_determined(loaded, False, True)
+    assert warning.startswith("a guess")
 
 
 @pytest.mark.parametrize("helped", ["markers", "keypoints"])
@@ -66,9 +66,9 @@ def test_two_cameras_that_look_alike_are_warned_of(tmp_path, azimuth, warned):
     turn = np.radians(azimuth)
     cameras = [look_at((4.0, 0.0, 1.0), (0.0, 0.0, 1.0))]
     cameras += [look_at((4 * np.cos(turn), 4 * np.sin(turn), 1.0), (0.0, 0.0, 1.0))]
-    doubts = check_determined(Recording.load(recording(tmp_path, *cameras)), False, False)
-    assert len(doubts) == warned
-    assert not warned or "cam_1 and cam_2" in doubts[0]
+    warnings_before = check_determined(Recording.load(recording(tmp_path, *cameras)), False, False)
+    assert len(warnings_before) == warned
+    assert not warned or "cam_1 and cam_2" in warnings_before[0]
 
 
 def test_where_key_points_lie_is_measured_frame_by_frame():
