@@ -35,10 +35,11 @@ from jaxmocap.evidence.posture import MostlyRelaxedPosture, Pelvis, RelaxedPostu
 from jaxmocap.evidence.smoothness import REACH, smoothness
 from jaxmocap.evidence.terms import Measurements, Term, linearised, residuals
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.smoothing.levenberg_marquardt import minimise
+from jaxmocap.smoothing.levenberg_marquardt import Solution, minimise
 from jaxmocap.smoothing.linearise import linearise_problem, two_workers
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, moved_by
 from jaxmocap.solvers.descent import tree_where
+from jaxmocap.solvers.robust import MEDIAN_OF_LENGTHS
 
 # A frame with fewer lines than this is bridged by the others.
 LEAST_LINES = 4
@@ -92,11 +93,13 @@ class KeypointPoses(NamedTuple):
         poses: (T, ...).
         costs: (T,) of each frame's terms.
         skeleton: of the person, its lengths corrected.
+        lines: (T, ...) with confidences by how much each camera's landmarks scatter.
     """
 
     poses: Pose
     costs: np.ndarray
     skeleton: Skeleton
+    lines: SightLines
 
 
 def poses_of_lines(
@@ -125,16 +128,40 @@ def poses_of_lines(
     nearest = np.abs(rows[None] - np.arange(len(times))[:, None]).argmin(1)
     start = jax.tree.map(lambda part: part[nearest].astype(model.dtype), found)
     if len(times) <= REACH:
-        return KeypointPoses(start, costs[each, chosen][nearest], skeleton)
+        return KeypointPoses(start, costs[each, chosen][nearest], skeleton, lines)
     weighted = replace(settings, proportions=settings.proportions * len(times))
     problem = SmoothingProblem(model, weighted, times, measured, Views.no_cameras())
     prior = smoothness(times, np.full(3 * len(LANDMARKS), float(settings.acceleration)))
-    with two_workers() as workers:
-        linearise = partial(linearise_problem, problem, 0.0, workers)
-        begun = Trajectory(start, np.zeros(len(LENGTHS), model.dtype))
-        solved = minimise(linearise, moved_by, begun, prior)
+
+    def solve(problem: SmoothingProblem, begun: Trajectory) -> Solution:
+        with two_workers() as workers:
+            linearise = partial(linearise_problem, problem, 0.0, workers)
+            return minimise(linearise, moved_by, begun, prior)
+
+    solved = solve(problem, Trajectory(start, np.zeros(len(LENGTHS), model.dtype)))
+    points = np.asarray(solved.linear.points).reshape(len(times), len(LANDMARKS), 3)
+    lines = weighed_by_scatter(points, lines, float(settings.keypoints.deviation))
+    solved = solve(problem.with_measured(sight_lines=lines), solved.x)
     person = solved.x.person(skeleton)
-    return KeypointPoses(solved.x.poses, np.asarray(solved.linear.cost), person)
+    return KeypointPoses(solved.x.poses, np.asarray(solved.linear.cost), person, lines)
+
+
+def weighed_by_scatter(points: np.ndarray, lines: SightLines, deviation: float) -> SightLines:
+    """Lines whose confidences are smaller where a camera's landmark scatters by more.
+
+    Args:
+        points: (T, L, 3) the landmarks where all lines together have them, metres.
+        lines: (T, ...) of C cameras.
+        deviation: of a point of full confidence, metres at the person; no scatter counts as less.
+    """
+    confidences, ways = np.asarray(lines.confidences), np.asarray(lines.directions)
+    off = points[:, None] - np.asarray(lines.origin)[:, :, None]
+    across = np.linalg.norm(np.cross(off, ways), axis=-1)
+    across = np.where(confidences > 0, across, np.nan)
+    is_detected = np.isfinite(across).any(0)
+    middle = np.nanmedian(np.where(is_detected, across, 0.0), 0) / MEDIAN_OF_LENGTHS
+    share = deviation / np.maximum(middle, deviation)
+    return lines._replace(confidences=(confidences * share).astype(confidences.dtype))
 
 
 def measurements(lines: SightLines) -> dict:

@@ -100,7 +100,7 @@ class SmoothingProblem:
     measured: Measurements
     views: Views
 
-    def with_measured(self, **more: np.ndarray) -> "SmoothingProblem":
+    def with_measured(self, **more: Any) -> "SmoothingProblem":
         """The same with more measurements."""
         return replace(self, measured={**self.measured, **more})
 

@@ -16,6 +16,7 @@ from jaxmocap.silhouette.keypoint_poses import (
     cheapest_path,
     measurements,
     poses_of_lines,
+    weighed_by_scatter,
 )
 from jaxmocap.synthetic.drawing_camera import look_at
 
@@ -97,6 +98,19 @@ def test_the_path_takes_the_dearer_minimum_where_the_cheaper_one_is_a_jump():
     assert cheapest_path(np.arange(3) / 10, costs, points).tolist() == [0, 0, 0]
     # Within a minute anybody goes so far.
     assert cheapest_path(60.0 * np.arange(3), costs, points).tolist() == [0, 1, 0]
+
+
+def test_a_landmark_that_scatters_counts_less(truth):
+    """By as much as it lies off in the median; never more than the detector says itself."""
+    pixels = np.asarray(project(CAMERA, jnp.asarray(truth[:, landmark_rows(NAMES)], float)))
+    lines = lines_of_sight(CAMERA, NAMES, pixels, np.full(pixels.shape[:2], 0.8))
+    moved = truth.copy()
+    wrist = LANDMARKS.index("wrist_l")
+    moved[:, wrist, 2] += 0.06
+    after = np.asarray(weighed_by_scatter(moved, lines, 0.015).confidences)[:, 0]
+    others = [row for row in landmark_rows(NAMES) if row != wrist]
+    np.testing.assert_allclose(after[:, others], 0.8)
+    assert 0.15 < after[0, wrist] < 0.35 and after[0, LANDMARKS.index("vertex")] == 0
 
 
 def test_what_the_terms_ask_for_says_nothing_of_where_the_pelvis_faces():

@@ -97,7 +97,7 @@ def keypoint_guide(
     if not is_detected.any():
         return None
     poses = poses_of_lines(skeleton, times, joined, settings.keypoint_poses)
-    return KeypointGuide(joined, poses, is_detected, tuple(warnings))
+    return KeypointGuide(poses.lines, poses, is_detected, tuple(warnings))
 
 
 def _first_pixels(
