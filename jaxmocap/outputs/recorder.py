@@ -7,6 +7,7 @@ Meshes are sent once, poses as columns. Entities: ``world/floor``, ``world/body/
 ``series_recorder`` log the images and the time series.
 """
 
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ import rerun as rr
 from rerun.blueprint import Blueprint
 
 from jaxmocap.body.tree import Tree
+from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.rotations import quaternion_from_matrix
 from jaxmocap.geometry.solids import Solid
 from jaxmocap.outputs.ellipses import Uncertainty
@@ -165,3 +167,30 @@ def send_strips(
 def at_times(times: np.ndarray) -> rr.TimeColumn:
     """Seconds (T,) on the recording's timeline."""
     return rr.TimeColumn(TIMELINE, duration=np.asarray(times, np.float64))
+
+
+def send_recording(path: Path, url: str) -> None:
+    """Send a recording to a viewer, as itself; this process must go on while it loads.
+
+    Args:
+        path: of the .rrd file.
+        url: where the viewer listens.
+
+    Raises:
+        ImportError: the installed rerun-sdk cannot read such files.
+        InputError: the file is no recording, or not all of one.
+    """
+    from rerun.chunk import RrdReader
+
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of files without an index
+            (entry, *_) = RrdReader(path).recordings()
+    except (RuntimeError, ValueError) as error:
+        reason = f"expected a recording of rerun, found none ({str(error).rpartition(': ')[2]})"
+        raise InputError(path, reason) from None
+    stream = rr.RecordingStream(
+        entry.application_id, recording_id=entry.recording_id, send_properties=False
+    )
+    stream.connect_grpc(url)
+    stream.log_file_from_path(path)
+    stream.flush()

@@ -107,7 +107,12 @@ def serve_page(path: Path, port: int) -> Viewer:
     if not _is_free(port):
         problem = f"is taken, perhaps by another viewer; another one by --port {free_port()}"
         raise InputError(f"port {port}", problem)
-    viewer = start_viewer([str(path)], web=True, web_port=port, stay=False)
+    from jaxmocap.outputs.recorder import send_recording
+
+    # A server that reads the file itself keeps a core busy for ever (rerun 0.41). Older ones must.
+    sends = importlib.util.find_spec("rerun.chunk") is not None
+    files = [] if sends else [str(path)]
+    viewer = start_viewer(files, web=True, web_port=port, stay=False)
     try:
         # Until the page and its data are served.
         data_port = urlsplit(viewer.url.partition("+")[2]).port or 0
@@ -118,6 +123,8 @@ def serve_page(path: Path, port: int) -> Viewer:
                     problem = "the viewer could not be opened there; another one by"
                     raise InputError(f"port {port}", f"{problem} --port {free_port()}")
                 sleep(0.05)
+        if sends:
+            send_recording(path, viewer.url)
     except BaseException:
         viewer.end()
         raise

@@ -95,6 +95,39 @@ def test_the_page_is_served_to_this_machine_and_its_data_beside_it(folder):
         urllib.request.urlopen(page, timeout=5)
 
 
+def test_the_page_has_the_recording_and_nothing_else(folder):
+    chunks = pytest.importorskip(
+        "rerun.chunk",
+        reason="the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can",
+    )
+    served, copied = serve_page(folder / "recording.rrd", free_port()), folder / "copied.rrd"
+    reader = subprocess.Popen([*view.viewer_command(), "--save", copied, served.url])
+    try:
+        end = time.monotonic() + 60
+        while not (copied.is_file() and copied.stat().st_size) and time.monotonic() < end:
+            time.sleep(0.1)
+        time.sleep(1.0)
+    finally:
+        for process in (reader, served.process):
+            process.terminate()
+            process.wait()
+    found = chunks.RrdReader(copied)
+    assert len(found.recordings()) == 1
+    assert "/points" in {chunk.entity_path for chunk in found.stream()}
+
+
+@pytest.mark.parametrize("content", [b"", b"no recording" * 300])
+def test_a_file_that_is_no_recording_is_refused(tmp_path, capsys, content):
+    pytest.importorskip(
+        "rerun.chunk",
+        reason="the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can",
+    )
+    (tmp_path / "recording.rrd").write_bytes(content)
+    assert main(["view", str(tmp_path), "--web", "--port", str(free_port())]) == 2
+    (sentence,) = capsys.readouterr().err.splitlines()
+    assert "recording.rrd: expected a recording of rerun, found none" in sentence
+
+
 # Makes standard input the terminal of a session, then becomes the program that is named.
 IN_TERMINAL = """
 import fcntl, os, sys, termios
