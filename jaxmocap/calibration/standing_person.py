@@ -2,7 +2,7 @@
 
 Hips, shoulders and ankles of somebody upright are at heights above the floor that follow from the
 stature; the image has them at rows that depend on the camera's height and pitch, and on how far
-away the person is, frame by frame. The camera is level, as phones are held: it does not roll.
+away the person is, frame by frame. The camera is level, as phones mostly are: it does not roll.
 
 INPUTS: pixels of landmarks, a lens, a skeleton. OUTPUTS: a StandingCamera.
 """

@@ -60,7 +60,7 @@ MOST_WAITING_UNSEEN = 2
 # Deviations are found at one video frame in so many, and hold until the next one.
 SURE_EVERY = 5
 # Silhouettes err alike from frame to frame. So deviations are so many times larger than by counting
-# each frame for itself: by ten rendered players and one real person (``bench.coverage``).
+# each frame for itself: by ten rendered clips and one real person.
 ERRS_ALIKE = 1.4
 # What the search for arms moves: elbow, wrist and hand's tip of either side.
 ARM_LANDMARKS = np.stack(

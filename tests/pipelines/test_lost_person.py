@@ -27,7 +27,7 @@ POINTS = np.random.default_rng(1).normal([0, 0, 1], 0.3, (2, len(LANDMARKS), 3))
 
 
 def recording(tmp_path, *cameras):
-    """Without markers, seen by some cameras."""
+    """Without markers, before some cameras."""
     named = {f"cam_{number}": camera for number, camera in enumerate(cameras, 1)}
     for name in named:
         write_video(tmp_path / f"{name}.mp4", [np.full((480, 640, 3), 120, np.uint8)] * 2)

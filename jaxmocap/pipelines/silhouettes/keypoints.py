@@ -73,7 +73,7 @@ def keypoint_guide(
         videos: opened.
         times: (F,) seconds.
         indices: (F, C) frames of the videos, -1 for none.
-        start: where the person is in the first frame, if that was said.
+        start: where the person is in the first frame, if that is stated.
         settings: of the tracker.
 
     Raises:

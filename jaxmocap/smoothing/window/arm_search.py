@@ -29,7 +29,7 @@ from jaxmocap.smoothing.window.events import WindowEvent
 # Cells over which silhouettes fade, where there are half as many to a side.
 SOFTNESS = 0.75
 # A frame's silhouette counts by this share when candidates say how sure an arm is: it errs as much
-# again where people are no cones. By four players, ``bench.coverage``.
+# again where people are no cones. By five rendered clips and one real camera.
 COUNTS = 0.5
 # Poses in one call.
 POSES_A_CALL = 8
