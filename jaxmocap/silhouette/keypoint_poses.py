@@ -35,6 +35,7 @@ from jaxmocap.evidence.posture import MostlyRelaxedPosture, Pelvis, RelaxedPostu
 from jaxmocap.evidence.smoothness import REACH, smoothness
 from jaxmocap.evidence.terms import Measurements, Term, linearised, residuals
 from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.smoothing.elbow_viterbi import cheapest_path
 from jaxmocap.smoothing.levenberg_marquardt import Solution, minimise
 from jaxmocap.smoothing.linearise import linearise_problem, two_workers
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, moved_by
@@ -121,7 +122,8 @@ def poses_of_lines(
     some = jax.tree.map(lambda part: part[rows], measured)
     call = partial(_minima, settings.terms, model)
     position, quaternion, angles, costs, points = in_batches(call, (some,), FRAMES_A_CALL)
-    chosen = cheapest_path(times[rows], costs, points)
+    flat, speed = points.reshape(*costs.shape, -1), SPEED * np.sqrt(len(LANDMARKS) / INDEPENDENT)
+    chosen = cheapest_path(np.where(np.isfinite(costs), costs, 1e9), flat, times[rows], speed)
     each = np.arange(len(rows))
     minima = Pose(position, quaternion, angles)  # type: ignore[arg-type]
     found = jax.tree.map(lambda part: part[each, chosen], minima)
@@ -173,29 +175,6 @@ def measurements(lines: SightLines) -> dict:
         "facing": np.zeros((count, 3), dtype),
         "upright": np.zeros((count, 2), dtype),
     }
-
-
-def cheapest_path(times: np.ndarray, costs: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(T,) which of each frame's N minima lie on the path that costs least.
-
-    Args:
-        times: (T,) seconds.
-        costs: (T, N) half squared residuals.
-        points: (T, N, L, 3) landmarks, metres.
-    """
-    costs = np.where(np.isfinite(costs), costs, 1e9)
-    total, back = costs[0], []
-    for t in range(1, len(costs)):
-        reach = SPEED * (times[t] - times[t - 1])
-        apart = points[t][None] - points[t - 1][:, None]
-        square = (apart**2).sum(-1).mean(-1) / reach**2
-        moved = total[:, None] + INDEPENDENT * square / 2
-        back.append(moved.argmin(0))
-        total = moved.min(0) + costs[t]
-    path = [int(total.argmin())]
-    for step in reversed(back):
-        path.append(int(step[path[-1]]))
-    return np.array(path[::-1])
 
 
 @jax.jit

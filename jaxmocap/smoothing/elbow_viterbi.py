@@ -75,6 +75,7 @@ def elbow_goals(problem: SmoothingProblem, trajectory: Trajectory) -> np.ndarray
     frames = np.unique(problem.views.frame)
     times, rows = problem.times[frames], np.arange(len(frames))[:, None]
     path_settings = problem.settings.elbow_path
+    prices = float(path_settings.speed), float(path_settings.largest_price)
     every, stay = (np.tile(each, (len(frames), 1)) for each in (np.arange(len(TURNS)), [STAY]))
     with ThreadPoolExecutor(2, thread_name_prefix="price") as workers:
         there = rows_of(trajectory.poses, frames)
@@ -83,14 +84,12 @@ def elbow_goals(problem: SmoothingProblem, trajectory: Trajectory) -> np.ndarray
         own += _off_lines(problem, frames, elbows)
         priced = partial(_priced, *coarsely(problem, SOFTNESS), trajectory, own, workers)
         alone = priced(every, stay)[:, :, 0], priced(stay, every)[:, 0]
-        paths = [
-            cheapest_path(alone[side], elbows[:, side], times, path_settings) for side in range(2)
-        ]
+        paths = [cheapest_path(alone[side], elbows[:, side], times, *prices) for side in range(2)]
         pairs = [np.stack([stay[:, 0], path], 1) for path in paths]
         costs = priced(*pairs).reshape(len(frames), -1)
     left, right = (elbows[rows, side, pairs[side]] for side in range(2))
     both = np.concatenate([np.repeat(left, 2, 1), np.tile(right, (1, 2, 1))], 2)
-    decided = both[rows[:, 0], cheapest_path(costs, both, times, path_settings)]
+    decided = both[rows[:, 0], cheapest_path(costs, both, times, *prices)]
     goals = np.full((len(problem.times), 2, 3), np.nan, np.float32)
     goals[frames] = decided.reshape(-1, 2, 3)
     return goals
@@ -112,22 +111,26 @@ def _off_lines(
 
 
 def cheapest_path(
-    costs: np.ndarray, places: np.ndarray, times: np.ndarray, settings: ElbowPathSettings
+    costs: np.ndarray,
+    places: np.ndarray,
+    times: np.ndarray,
+    speed: float,
+    largest_price: float = np.inf,
 ) -> np.ndarray:
     """Viterbi: which candidate (T,) at each time makes up the cheapest path.
 
     Args:
         costs: (T, K) of the candidates, nats.
-        places: (T, K, ...) of one elbow or of both, metres.
+        places: (T, K, N) of one elbow or of more points, metres.
         times: (T,) seconds.
-        settings: what movement costs.
+        speed: of a movement that costs half a nat, metres a second.
+        largest_price: of any movement, nats.
     """
-    speed, most = float(settings.speed), float(settings.largest_price)
     total, came_from = costs[0], np.zeros(costs.shape, np.int32)
     for t in range(1, len(costs)):
         reach = speed * max(times[t] - times[t - 1], 1e-3)
         between = cdist(places[t], places[t - 1], "sqeuclidean")
-        via = total + np.minimum(between / (2 * reach**2), most)
+        via = total + np.minimum(between / (2 * reach**2), largest_price)
         came_from[t] = via.argmin(1)
         total = via.min(1) + costs[t]
     path = np.full(len(costs), total.argmin())

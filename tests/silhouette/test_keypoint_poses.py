@@ -12,12 +12,14 @@ from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
 from jaxmocap.evidence.keypoints import lines_of_sight
 from jaxmocap.geometry.cameras import project
 from jaxmocap.silhouette.keypoint_poses import (
+    INDEPENDENT,
+    SPEED,
     KeypointPoseSettings,
-    cheapest_path,
     measurements,
     poses_of_lines,
     weighed_by_scatter,
 )
+from jaxmocap.smoothing.elbow_viterbi import cheapest_path
 from jaxmocap.synthetic.drawing_camera import look_at
 
 NAMES = tuple(
@@ -95,9 +97,10 @@ def test_the_path_takes_the_dearer_minimum_where_the_cheaper_one_is_a_jump():
     here, there = np.zeros((2, 3)), np.ones((2, 3))
     points = np.stack([np.stack([here, there])] * 3)
     costs = np.array([[0.0, 9.0], [1.0, 0.0], [0.0, 9.0]])
-    assert cheapest_path(np.arange(3) / 10, costs, points).tolist() == [0, 0, 0]
+    flat, speed = points.reshape(3, 2, -1), SPEED * np.sqrt(2 / INDEPENDENT)
+    assert cheapest_path(costs, flat, np.arange(3) / 10, speed).tolist() == [0, 0, 0]
     # Within a minute anybody goes so far.
-    assert cheapest_path(60.0 * np.arange(3), costs, points).tolist() == [0, 1, 0]
+    assert cheapest_path(costs, flat, 60.0 * np.arange(3), speed).tolist() == [0, 1, 0]
 
 
 def test_a_landmark_that_scatters_counts_less(truth):

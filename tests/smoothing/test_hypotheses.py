@@ -25,6 +25,7 @@ from jaxmocap.smoothing.settings import ElbowPathSettings
 COUNT = 12
 GRIPS = MODEL.grips
 PATH = ElbowPathSettings()
+PRICES = float(PATH.speed), float(PATH.largest_price)
 NO_CHANGE = np.zeros(len(PROPORTIONS), np.float32)
 
 
@@ -70,14 +71,14 @@ def test_no_other_path_is_cheaper(seed, times, candidates):
         return spent
 
     best = min(price(path) for path in product(range(candidates), repeat=times))
-    assert price(cheapest_path(costs, places, at, PATH)) == pytest.approx(best)
+    assert price(cheapest_path(costs, places, at, *PRICES)) == pytest.approx(best)
 
 
 def test_one_clear_frame_decides_for_the_ambiguous_ones_beside_it():
     places = np.broadcast_to([[0.0, 0, 0], [0.4, 0, 0]], (9, 2, 3))
     costs = np.zeros((9, 2))
     costs[4, 0] = 8.0
-    assert (cheapest_path(costs, places, np.arange(9) / 30, PATH) == 1).all()
+    assert (cheapest_path(costs, places, np.arange(9) / 30, *PRICES) == 1).all()
 
 
 # Joint angles of candidates ----------------------------------------------------------------------

@@ -184,16 +184,24 @@ def reaching(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Perfo
         # Ahead, between chest and head, at four fifths of the arm's length.
         goal = np.array([0.8, rng.uniform(-0.25, 0.6), rng.uniform(-0.5, 0.4)])
         goal *= rng.uniform(0.78, 0.92) / np.linalg.norm(goal)
-        side, other = "lr"[len(starts) % 2], "rl"[len(starts) % 2]
+        side = "lr"[len(starts) % 2]
         trunk = replace(STANDING, flexion=rng.uniform(3, 10), twist=(-8 if side == "l" else 8))
-        lifted = _lifted(trunk, rng, len(starts) // 2)
-        eased = getattr(_eased(trunk, rng), f"swivel_{other}")
-        changed: dict[str, Any] = {f"reach_{side}": tuple(goal), f"swivel_{other}": eased}
-        posture = replace(lifted, **changed)
+        posture = _reaching_to(goal, side, trunk, rng, len(starts) // 2)
         keys += [(now + 0.8, posture), (now + 1.1, posture)]
         starts.append(now)
         now += 1.1
     return Performance(figure, spline_through(keys), np.array(starts))
+
+
+def _reaching_to(
+    goal: np.ndarray, side: str, trunk: Posture, rng: np.random.Generator, turn: int
+) -> Posture:
+    """A trunk with one hand at a goal (3,), by the arm's length; the other arm at ease."""
+    other = "r" if side == "l" else "l"
+    lifted = _lifted(trunk, rng, turn)
+    eased = getattr(_eased(trunk, rng), f"swivel_{other}")
+    changed: dict[str, Any] = {f"reach_{side}": tuple(goal), f"swivel_{other}": eased}
+    return replace(lifted, **changed)
 
 
 def across(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Performance:
@@ -204,16 +212,13 @@ def across(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Perform
     while not starts or now < seconds:
         goal = np.array([0.7, rng.uniform(-0.75, -0.25), rng.uniform(-0.5, 0.35)])
         goal *= rng.uniform(0.78, 0.92) / np.linalg.norm(goal)
-        side, other, turn = "lr"[len(starts) % 2], "rl"[len(starts) % 2], rng.uniform(*TURN_DEG)
+        side, turn = "lr"[len(starts) % 2], rng.uniform(*TURN_DEG)
         turn = -turn if side == "l" else turn
         flexion = rng.uniform(3, 10)
         trunk = replace(
             STANDING, pelvis=(0.0, 0.0, -0.02), yaw=0.3 * turn, twist=0.7 * turn, flexion=flexion
         )
-        lifted = _lifted(trunk, rng, len(starts) // 2)
-        eased = getattr(_eased(trunk, rng), f"swivel_{other}")
-        changed: dict[str, Any] = {f"reach_{side}": tuple(goal), f"swivel_{other}": eased}
-        posture = replace(lifted, **changed)
+        posture = _reaching_to(goal, side, trunk, rng, len(starts) // 2)
         keys += [(now + 0.8, posture), (now + 1.8, posture)]
         starts.append(now)
         now += 2.0
