@@ -243,10 +243,11 @@ class Window:
         self._since_search = 0
         found = search_arms(self._model, self._settings, self.cameras, newest)
         self.arms_spread = found.spread
+        # Even where it is not tried: a live run compiles all of this before anybody is there.
+        there = with_arm_there(self._model, stacked(each.pose for each in self.events), found)
         if found.gain < RIVAL_GAIN or found.away < RIVAL_M:
             return None
-        own, there = self._equations(), stacked(event.pose for event in self.events)
-        rival = self._from(with_arm_there(self._model, there, found))
+        own, rival = self._equations(), self._from(there)
         for _ in range(RIVAL_STEPS - 1):
             origins = np.stack([event.pose for event in rival.events])
             rival = self._from(moved(self._model.skeleton, origins, rival.steps(DAMPING))[0])
