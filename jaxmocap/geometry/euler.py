@@ -9,6 +9,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 
 # Outer axes nearer to each other than this, radians, turn as one.
@@ -21,6 +22,14 @@ FREE = (-np.inf, np.inf)
 _OUTSIDE_COST = 4.0
 _MIDDLE_COST = 0.01
 _DEAREST_STEP = 2 * np.pi**2
+# A larger step of an outer angle, radians, is spread over samples nearer to gimbal lock than
+# ``_NEAR_LOCK`` where the rotation's error by it stays below ``_MOST_ERROR``. A degree of error
+# weighs as much as a step of twenty.
+_LARGEST_STEP = np.radians(60)
+_NEAR_LOCK = np.radians(15)
+_MOST_ERROR = np.radians(1)
+_STEP_FOR_ERROR = 20.0
+_IN_LOCK = 1e-3
 # Of two paths alike the one that begins as is customary.
 _UNUSUAL_COST = 1e-6
 
@@ -105,6 +114,48 @@ def continuous_euler(
         measured = np.isfinite(angles[:, joint, angle])
         angles[measured, joint, angle] = np.unwrap(angles[measured, joint, angle])
     return angles
+
+
+def eased_near_lock(angles: np.ndarray, order: str) -> np.ndarray:
+    """Angles (T, J, 3) with smaller steps past gimbal lock, where a degree of error allows that.
+
+    A joint that passes lock a few degrees aside turns its outer angles one against the other by up
+    to half a turn within a sample or two, while it hardly moves. As in damped inverse kinematics at
+    a singularity, that turn is the least squares of its steps and of the rotation's error.
+
+    Args:
+        angles: of ``continuous_euler``, radians; NaN where unknown.
+        order: as there.
+    """
+    eased = angles.copy()
+    along = np.cos(angles[..., 1])
+    if order[0] != order[2]:
+        along = np.sin(angles[..., 1]) * (1.0 if order in "XYZXY" else -1.0)
+    # The rotation's error by a turn of the outer angles against each other.
+    error = np.sqrt(np.maximum(2 - 2 * np.abs(along), 0.0))
+    large = (np.abs(np.diff(angles[..., ::2], axis=0)) > _LARGEST_STEP).any(-1)
+    for joint in np.flatnonzero(large.any(0)):
+        is_near = error[:, joint] < _NEAR_LOCK
+        borders = np.flatnonzero(np.diff(is_near, prepend=False, append=False))
+        for first, last in zip(borders[::2], borders[1::2], strict=True):
+            if large[max(first - 1, 0) : last, joint].any():
+                # One sample more at either side stays as it is.
+                part = slice(max(first - 1, 0), last + 1)
+                outer, against = angles[part, joint, ::2], np.sign(along[first, joint])
+                eased[part, joint, ::2] += _turn(outer, against, error[part, joint])
+    return eased
+
+
+def _turn(outer: np.ndarray, along: float, error: np.ndarray) -> np.ndarray:
+    """What to add to outer angles (T, 2) near lock, none at the ends; 0 where the error forbids."""
+    is_end = ~(error < _NEAR_LOCK)
+    damping = 1 / _STEP_FOR_ERROR**2
+    pull = damping * np.nan_to_num(np.diff(outer[:, 0]) - along * np.diff(outer[:, 1])) / 2
+    bands = np.full((2, len(outer)), -damping)
+    bands[1] = np.where(is_end, 1e6, np.maximum(error, _IN_LOCK) ** 2 + 2 * damping)
+    turn = solveh_banded(bands, np.append(pull, 0.0) - np.append(0.0, pull))
+    turn = np.where(is_end | (np.abs(turn * error).max() > _MOST_ERROR), 0.0, turn)
+    return turn[:, None] * [1.0, -along]
 
 
 def _cheapest(ways: np.ndarray, places: _Places, interval: float) -> np.ndarray:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.geometry.euler import FREE, continuous_euler
+from jaxmocap.geometry.euler import FREE, continuous_euler, eased_near_lock
 
 # OpenSim's shoulder: flexion, adduction, rotation.
 SHOULDER = ((-90, 90), (-120, 90), (-90, 90))
@@ -90,3 +90,23 @@ def test_missing_samples_are_passed_over():
     assert np.isnan(actual[30:35]).all()
     there = np.r_[0:30, 35 : len(R)]
     np.testing.assert_allclose(actual[there], expected[there], atol=1e-3)
+
+
+@pytest.mark.parametrize("order", ["ZXY", "YXY", "ZYX"])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_an_arm_that_passes_lock_three_degrees_aside_steps_by_sixty_at_most(order, side):
+    """A stroke of 4 degrees a sample; the rotation errs by less than a degree, and only there."""
+    first, middle = (np.eye(3)["XYZ".index(axis)] for axis in order[:2])
+    lock = 0.0 if order[0] == order[2] else np.pi / 2 * side
+    aside = Rotation.from_rotvec(np.radians(3.2) * np.cross(first, middle))
+    swing = Rotation.from_rotvec(np.radians(np.arange(-80, 80, 4.1))[:, None] * middle)
+    R = (swing * aside * Rotation.from_rotvec(lock * middle)).as_matrix()
+    angles = continuous_euler(R[:, None], order)
+    eased = eased_near_lock(angles, order)[:, 0]
+    assert np.degrees(np.abs(np.diff(angles[:, 0], axis=0))).max() > 60
+    assert np.degrees(np.abs(np.diff(eased, axis=0))).max() < 60
+    error = np.degrees(
+        (Rotation.from_matrix(R).inv() * Rotation.from_euler(order, eased)).magnitude()
+    )
+    assert error.max() < 1
+    assert error[np.abs(np.arange(-80, 80, 4.1)) > 16].max() < 1e-3

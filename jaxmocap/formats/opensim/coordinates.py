@@ -38,7 +38,7 @@ from jaxmocap.formats.time_series.isb import (
     made_by_hinges,
 )
 from jaxmocap.formats.time_series.mot import write_table
-from jaxmocap.geometry.euler import FREE, continuous_euler, wrapped
+from jaxmocap.geometry.euler import FREE, continuous_euler, eased_near_lock, wrapped
 
 # The name of this convention among those of joints.
 OPENSIM = "opensim"
@@ -116,7 +116,7 @@ def opensim_coordinates(motion: Motion) -> dict[str, np.ndarray]:
     names = [_ROOT[:3], _LUMBAR, *({"leg": _HIP, "arm": _SHOULDER}[part] for part, _ in limbs)]
     sides = ["", "", *(side for _, side in limbs)]
     ranges = np.radians([_RANGES[triple] for triple in names])
-    angles = continuous_euler(turns, "ZXY", ranges, motion.times)
+    angles = eased_near_lock(continuous_euler(turns, "ZXY", ranges, motion.times), "ZXY")
     columns = {
         name.format(side): column
         for triple, side, three in zip(names, sides, np.moveaxis(angles, 1, 0), strict=True)

@@ -51,7 +51,7 @@ import numpy as np
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.orientations import body_turns, matrices
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.geometry.euler import FREE, continuous_euler
+from jaxmocap.geometry.euler import FREE, continuous_euler, eased_near_lock
 
 # Our axes (x forward, y left, z up) hold ISB's x, y, z in these columns; the world's alike.
 R_BONE_ISB = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -154,8 +154,8 @@ def _euler_angles(joints: list[Joint], R: list[np.ndarray], times: np.ndarray) -
         alike = [i for i, joint in enumerate(joints) if joint.order == order]
         ranges = np.radians([joints[i].ranges for i in alike])
         angles = continuous_euler(np.stack([R[i] for i in alike], 1), order, ranges, times)
-        for column, i in enumerate(alike):
-            turns[i] = angles[:, column]
+        for i, column in zip(alike, np.moveaxis(eased_near_lock(angles, order), 1, 0), strict=True):
+            turns[i] = column
     return turns
 
 
