@@ -174,27 +174,6 @@ def learn_foreground(
     return background, colours
 
 
-def person_grid(
-    odds: np.ndarray, origin_px: np.ndarray, cell_px: float, size: int, blur: float = 0.5
-) -> tuple[np.ndarray, np.ndarray]:
-    """Log-odds averaged over the cells of a static grid.
-
-    Args:
-        odds: (h, w) float32.
-        origin_px: (2,) pixel (x, y) of the grid's left upper corner: the edge, as in ``Region``.
-        cell_px: pixels per cell.
-        size: cells per side.
-        blur: standard deviation of a further Gaussian blur, cells.
-
-    Returns:
-        P (size, size) float32, the probability that the person is there, mean by weight; and W, the
-        weights' own mean, 0 to 1: 0 where nothing was learned and outside the image. The middle of
-        cell i lies at pixel ``origin + (i + 0.5) cell``.
-    """
-    layers = weighed(odds)
-    return person_grids((layers, layers), origin_px, cell_px, size, blur)[0]
-
-
 def weighed(odds: np.ndarray) -> Layers:
     """By log-odds (h, w): the person's probability times its weight, and that weight."""
     weight = np.minimum(np.abs(odds) * np.float32(1 / FULL_WEIGHT_ODDS), 1)
@@ -208,7 +187,22 @@ def person_grids(
     size: int,
     blur: float = 0.5,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """``person_grid`` of two ``weighed`` at once, since OpenCV is fastest with four channels."""
+    """Log-odds averaged over the cells of a static grid, two at once.
+
+    OpenCV is fastest with four channels.
+
+    Args:
+        pair: two ``weighed``.
+        origin_px: (2,) pixel (x, y) of the grid's left upper corner: the edge, as in ``Region``.
+        cell_px: pixels per cell.
+        size: cells per side.
+        blur: standard deviation of a further Gaussian blur, cells.
+
+    Returns:
+        Of each P (size, size) float32, the probability that the person is there, mean by weight;
+        and W, the weights' own mean, 0 to 1: 0 where nothing was learned and outside the image. The
+        middle of cell i lies at pixel ``origin + (i + 0.5) cell``.
+    """
     finer = max(1, int(np.ceil(cell_px)))
     step = cell_px / finer
     x, y = np.asarray(origin_px, float) + step / 2

@@ -24,9 +24,10 @@ from jaxmocap.images.foreground import (
     MOST_ODDS,
     learn_foreground,
     log_odds,
-    person_grid,
+    person_grids,
     shrink,
     shrunk_size,
+    weighed,
 )
 from jaxmocap.images.regions import crop
 from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
@@ -282,6 +283,11 @@ def test_a_running_background_outlives_a_blackout_and_starts_again_after_a_move(
 def test_a_background_is_asked_for_after_the_first_frame():
     with pytest.raises(ValueError, match="no frame yet"):
         RunningBackground().background()
+
+
+def person_grid(odds: np.ndarray, *place, **options) -> tuple[np.ndarray, np.ndarray]:
+    layers = weighed(odds)
+    return person_grids((layers, layers), *place, **options)[0]
 
 
 DISCS = st.tuples(st.floats(60, 100), st.floats(50, 80), st.floats(12, 25), st.floats(1.7, 6.4))

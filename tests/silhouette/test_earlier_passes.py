@@ -96,7 +96,7 @@ def test_each_pass_steps_each_frame_with_what_the_one_before_it_found(monkeypatc
 
     class Report(SimpleNamespace):
         used, hidden, revised = np.ones(1, bool), np.zeros(1, bool), ()
-        outlines = Outlines((), SimpleNamespace(phi=np.zeros((1, 8, 8))), region, np.zeros(0))  # type: ignore[arg-type]
+        outlines = Outlines((), SimpleNamespace(phi=np.zeros((1, 8, 8))), region)  # type: ignore[arg-type]
         pairs = None
 
         def _replace(self, **_):

@@ -22,7 +22,7 @@ def only(joint: int) -> np.ndarray:
 def step(moved: np.ndarray = NONE, hidden: np.ndarray = NONE) -> StepReport:
     """A frame that tells of all joints that are not hidden, of each as much as 1."""
     information, is_free = 1.0 * ~hidden, np.append(np.ones(ROOT_DOF, bool), ~hidden)
-    nothing, outlines = np.zeros(0), Outlines(("contour",), "level sets", None, None)  # type: ignore[arg-type]
+    nothing, outlines = np.zeros(0), Outlines(("contour",), "level sets", None)  # type: ignore[arg-type]
     return StepReport(
         nothing, nothing, 0.0, nothing, is_free, np.diag(information), information,
         outlines, moved, hidden, "pairs",

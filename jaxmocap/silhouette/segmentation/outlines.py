@@ -37,13 +37,11 @@ class Outlines(NamedTuple):
         contours: one a camera; without points where it shows nothing.
         segmentation: level sets (C, S, S), on the canvases of ``region``.
         region: the canvases' places.
-        valid_share: (C,) share of the contour's points with enough contrast.
     """
 
     contours: tuple[Contour, ...]
     segmentation: Segmentation
     region: Region
-    valid_share: np.ndarray
 
 
 def find_outlines(
@@ -84,12 +82,11 @@ def find_outlines(
         settings.level_set.largest_log_ratio,
     )  # fmt: skip
     clear = np.asarray(traced.valid) & (np.asarray(traced.contrast) > settings.contrast)
-    share = clear.sum(1) / np.maximum(np.asarray(traced.valid).sum(1), 1)
     clear &= clear.sum(1, keepdims=True) >= LEAST_POINTS
     clear &= np.array([[image is not None] for image in images])
     points, normals = np.asarray(traced.points_xy), np.asarray(traced.normals)
     lines = tuple(Contour(points[c][on], normals[c][on]) for c, on in enumerate(clear))
-    return Outlines(lines, segmentation, region, share)
+    return Outlines(lines, segmentation, region)
 
 
 def _sharpened(
