@@ -36,6 +36,9 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines.kept_programs import keep_compiled
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+# Tracing makes many objects that stay: to go through all of them again and again takes a tenth of
+# its time.
+gc.set_threshold(200_000, 20, 100)
 settings.register_profile("tests", deadline=None, max_examples=25, derandomize=True)
 settings.load_profile("tests")
 

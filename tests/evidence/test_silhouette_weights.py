@@ -14,7 +14,7 @@ from jaxmocap.smoothing.elbow_viterbi import elbow_goals
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import SmoothingProblem, Views
 
-COUNT, SOFTNESS = 6, (3.0, 0.8)
+COUNT, SOFTNESS = 4, (1.5,)
 PICTURES = ("person", "forearms")
 
 

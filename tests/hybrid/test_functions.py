@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import LIMITS, double, in_double, on_device
+from drawn_arms import arm_pose
 from watched_arms import FRONT, MARKERS, PERSON, SIDE, SIZE, TRUTH, pictures
 
 import jaxmocap
@@ -313,6 +314,22 @@ def test_a_refined_pose_moves_as_finite_differences_say(scene, edges):
             pose, shown = jax.tree.map(lambda part, i=i: part[i], (poses, observation))
             arguments = model, in_double(chosen), pose, shown
             assert_is_its_finite_difference(refined, arguments, i, 1e-3)
+
+
+# The limb on its side, and towards the camera in front.
+STRETCHED = {"arm_abduct": (90, 90)}, {"arm_flex": (90, 90)}
+
+
+@pytest.mark.parametrize("degrees", STRETCHED, ids=["sideways", "end-on"])
+def test_derivatives_are_finite_at_stretched_arms(degrees, scene):
+    straight = dict.fromkeys(("arm_flex", "arm_abduct", "arm_rot", "elbow_flex"), (0, 0))
+    with double():
+        model, chosen, _, _ = refined_by("gradient", scene)
+        pose = on_device(arm_pose(PERSON, straight | degrees))
+        shown = jaxmocap.observe(model, CHOSEN, pose, pictures(FRONT, SIDE))
+        arguments = model, chosen, pose, shown
+        slope = np.asarray(along(refined, arguments, any_direction(arguments, 0))[1])
+    assert np.isfinite(slope).all() and np.abs(slope).max() > 0
 
 
 def test_the_simplex_moves_with_the_elbows_that_were_expected(scene):

@@ -116,7 +116,7 @@ def test_few_markers_leave_the_body_as_it_is(tmp_path):
 def test_joints_of_real_people_lie_within_what_is_stated(recordings, tmp_path):
     """Elbows, shoulders, hips and knees beside Plug-in Gait's, from the stature alone."""
     inside = []
-    for name in ("person_01", "person_06", "person_11"):
+    for name in ("person_01", "person_06"):
         person = recordings / "people" / name
         height = tomllib.loads((person / "person.toml").read_text())["height"]
         text = f'[markers]\nfile = "{person}/turn.trc"\nset = "plug-in-gait"\n'

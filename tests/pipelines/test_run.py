@@ -54,6 +54,21 @@ def tracked():
     return track_both(small_recording(), tracker=compiled())
 
 
+@pytest.fixture(scope="module")
+def again():
+    """The same once more, and what its progress was called with."""
+    calls: list[tuple[int, int]] = []
+    return track(small_recording(), tracker=compiled(), progress=lambda *c: calls.append(c)), calls
+
+
+@pytest.fixture(scope="module")
+def causal():
+    """The small recording as a live run has it, and what its progress was called with."""
+    calls: list[tuple[int, int]] = []
+    keep = lambda *c: calls.append(c)  # noqa: E731
+    return track(small_recording(), mode="causal", tracker=compiled(), progress=keep), calls
+
+
 def samples_with(motion, sentence: str) -> list[int]:
     """Which samples have a warning."""
     return [i for i, lines in enumerate(motion.report.statuses) if sentence in lines]
@@ -137,8 +152,8 @@ def test_stages_are_timed_apart_and_the_first_call_by_itself(tracked):
     assert frames_per_second(report) == pytest.approx(frames / sum(seconds.values()))
 
 
-def test_the_stages_of_live_steps_are_timed_event_by_event():
-    times = track(small_recording(), mode="causal", tracker=compiled()).report.milliseconds
+def test_the_stages_of_live_steps_are_timed_event_by_event(causal):
+    times = causal[0].report.milliseconds
     frames = len(times["frame"])
     assert len(times["first_call"]) == 1
     assert {len(times[stage]) for stage in ("decode", "smooth")} == {frames}
@@ -156,14 +171,12 @@ def test_the_report_holds_the_trackers_settings(tracked):
     assert used["tracker"]["simplex"]["iterations"] > 0
 
 
-def test_tracking_twice_with_one_tracker_gives_the_same(tracked):
-    again = track(small_recording(), tracker=compiled())
-    np.testing.assert_array_equal(again.poses.angles, tracked.motion.poses.angles)
+def test_tracking_twice_with_one_tracker_gives_the_same(tracked, again):
+    np.testing.assert_array_equal(again[0].poses.angles, tracked.motion.poses.angles)
 
 
-def test_progress_is_shown_chunk_by_chunk():
-    calls = []
-    track(small_recording(), tracker=compiled(), progress=lambda *call: calls.append(call))
+def test_progress_is_shown_chunk_by_chunk(again):
+    calls = again[1]
     total = calls[0][1]
     assert SAMPLES < total <= SAMPLES + FRAMES
     chunks = -(-total // EVENTS)
@@ -175,10 +188,8 @@ def test_progress_is_shown_chunk_by_chunk():
     assert percents == sorted(percents) and percents[-1] == 100
 
 
-def test_progress_of_live_steps_is_shown_event_by_event():
-    calls = []
-    keep = lambda *call: calls.append(call)  # noqa: E731
-    track(small_recording(), mode="causal", tracker=compiled(), progress=keep)
+def test_progress_of_live_steps_is_shown_event_by_event(causal):
+    calls = causal[1]
     assert calls == [(i, calls[0][1]) for i in range(1, calls[0][1] + 1)]
 
 
@@ -189,7 +200,7 @@ def test_nearest_looks_at_a_frame_at_every_sample():
     assert motion.report.settings["mode"] == "nearest"
 
 
-def test_causal_rows_do_not_depend_on_what_comes_later():
+def test_causal_rows_do_not_depend_on_what_comes_later(causal):
     recording = small_recording()
     half = SAMPLES // 2
     positions = recording.positions_world.copy()
@@ -198,8 +209,8 @@ def test_causal_rows_do_not_depend_on_what_comes_later():
     is_before = np.array(times) + 0.004 < recording.times[half]
     later = [im if early else im[::-1] for early, im in zip(is_before, images, strict=True)]
     other = with_frames(replace(recording, positions_world=positions), times, later)
-    motions = [track(r, mode="causal", tracker=compiled()) for r in (recording, other)]
-    first, second = (motion.poses.angles for motion in motions)
+    changed = track(other, mode="causal", tracker=compiled())
+    first, second = (motion.poses.angles for motion in (causal[0], changed))
     # What waits for two more frames, or a tenth of a second, may still change.
     final = int(np.flatnonzero(recording.times <= recording.times[half - 1] - DELAY_S)[-1])
     np.testing.assert_array_equal(first[:final], second[:final])
@@ -218,53 +229,56 @@ def test_without_video_the_markers_are_tracked_alone():
 # What is missing ---------------------------------------------------------------------------------
 
 
-def test_gaps_in_the_markers_are_tracked_through_with_warnings():
-    recording = small_recording()
-    positions = recording.positions_world.copy()
-    positions[5:9, 1] = np.nan
-    positions[12, :] = np.nan
-    motion = track(replace(recording, positions_world=positions), tracker=compiled())
-    assert all(np.isfinite(part).all() for part in motion.poses)
-    assert samples_with(motion, "marker LWrist is missing") == [5, 6, 7, 8, 12]
-    assert samples_with(motion, "marker Head is missing") == [12]
-    missing = np.isnan(motion.report.marker_errors)
-    np.testing.assert_array_equal(missing, np.isnan(positions).any(-1))
-    wrist = motion.joints()["wrist_l"]
-    assert np.linalg.norm(wrist - recording.positions_world[:, 1], axis=1).max() < 0.15
+# Frames that the video has, the black one and the one that cannot be read.
+LEFT, BLACK, UNREAD = 9, 3, 6
 
 
-def test_samples_before_the_first_marker_are_unknown_with_a_warning():
+@pytest.fixture(scope="module")
+def spoilt():
+    """A recording that lacks markers, at first all, and frames; and as it is tracked."""
     recording = small_recording()
     positions = recording.positions_world.copy()
     positions[:3] = np.nan
-    motion = track(replace(recording, positions_world=positions), tracker=compiled())
-    assert np.isnan(motion.poses.position[:3]).all() and np.isnan(motion.joints()["head"][:3]).all()
+    positions[5:9, 1] = np.nan
+    positions[12, :] = np.nan
+    images = [image(i) for i in range(LEFT)]
+    images[BLACK], images[UNREAD] = np.full_like(image(0), 2), None
+    short = with_frames(recording, np.arange(LEFT) / VIDEO_RATE, images)
+    short = replace(short, positions_world=positions)
+    return short, track(short, tracker=compiled())
+
+
+def test_gaps_in_the_markers_are_tracked_through_with_warnings(spoilt):
+    recording, motion = spoilt
     assert all(np.isfinite(part[3:]).all() for part in motion.poses)
+    assert samples_with(motion, "marker LWrist is missing") == [5, 6, 7, 8, 12]
+    assert samples_with(motion, "marker Head is missing") == [12]
+    missing = np.isnan(motion.report.marker_errors)
+    np.testing.assert_array_equal(missing, np.isnan(recording.positions_world).any(-1))
+    off = motion.joints()["wrist_l"] - small_recording().positions_world[:, 1]
+    assert np.linalg.norm(off[3:], axis=1).max() < 0.15
+
+
+def test_samples_before_the_first_marker_are_unknown_with_a_warning(spoilt):
+    _, motion = spoilt
+    assert np.isnan(motion.poses.position[:3]).all() and np.isnan(motion.joints()["head"][:3]).all()
     assert samples_with(motion, "no marker has been measured yet") == [0, 1, 2]
 
 
-def test_a_video_that_ends_early_is_tracked_through_with_warnings():
-    recording = small_recording()
-    short = with_frames(recording, np.arange(4) / VIDEO_RATE, [image(i) for i in range(4)])
-    motion = track(short, tracker=compiled())
-    assert all(np.isfinite(part).all() for part in motion.poses)
-    last = 3 / VIDEO_RATE + 0.004
+def test_a_video_that_ends_early_is_tracked_through_with_warnings(spoilt):
+    _, motion = spoilt
+    last = (LEFT - 1) / VIDEO_RATE + 0.004
     late = np.flatnonzero(motion.times > last + 1.5 / VIDEO_RATE).tolist()
-    assert samples_with(motion, "cam: no video frame near this sample") == late
-    assert (motion.report.elbow_deviations[-1] > motion.report.elbow_deviations[6]).all()
+    assert late and samples_with(motion, "cam: no video frame near this sample") == late
+    assert (motion.report.elbow_deviations[-1] > motion.report.elbow_deviations[10]).all()
 
 
-def test_black_and_unreadable_frames_are_tracked_through_with_warnings():
-    recording = small_recording()
-    times, images = recording.videos[0].frames
-    broken = list(images)
-    broken[3], broken[6] = np.full_like(image(0), 2), None
-    motion = track(with_frames(recording, times, broken), tracker=compiled())
-    assert all(np.isfinite(part).all() for part in motion.poses)
+def test_black_and_unreadable_frames_are_tracked_through_with_warnings(spoilt):
+    recording, motion = spoilt
     # The sentence goes to the first sample after the frame.
-    after = np.searchsorted(motion.times, np.array(times) + 0.004)
-    assert samples_with(motion, "cam: the video frame is black or blank") == [after[3]]
-    assert samples_with(motion, "cam: the video frame cannot be read") == [after[6]]
+    after = np.searchsorted(motion.times, np.array(recording.videos[0].frames[0]) + 0.004)
+    assert samples_with(motion, "cam: the video frame is black or blank") == [after[BLACK]]
+    assert samples_with(motion, "cam: the video frame cannot be read") == [after[UNREAD]]
 
 
 def test_a_jump_of_the_body_has_a_warning():
@@ -352,6 +366,7 @@ def test_a_low_pass_acts_on_the_samples_of_an_unsmoothed_run():
         track(small_recording(), Settings(refine="none", smooth=False, low_pass=cutoff))  # type: ignore[arg-type]
         for cutoff in (0.0, 2.0)
     )
+    assert np.isnan(plain.report.from_prior).all()
     expected = low_passed(plain.times, plain.poses, plain.skeleton, 2.0)
     for ours, theirs in zip(low.poses, expected, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-6)
@@ -415,19 +430,16 @@ def test_joints_and_motion_read_back_as_they_were(written, tracked):
     assert loaded.report.statuses == tracked.motion.report.statuses
 
 
-def test_the_report_counts_warnings(written, tmp_path):
+def test_the_report_counts_warnings(written, spoilt, tmp_path):
     report = json.loads((written / "report.json").read_text())
     assert report["frames"] == SAMPLES and report["recording"] == "small"
     assert report["milliseconds"]["frame"]["count"] > 0
-    recording = small_recording()
-    positions = recording.positions_world.copy()
-    positions[:2], positions[5:9, 1] = np.nan, np.nan
-    gaps = replace(recording, positions_world=positions)
-    write_outputs(track(gaps, tracker=compiled()), gaps, tmp_path)
+    recording, motion = spoilt
+    write_outputs(motion, recording, tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
-    assert report["statuses"]["marker LWrist is missing"]["count"] == 4
-    assert report["statuses"]["no marker has been measured yet"]["count"] == 2
-    assert np.isnan(read_markers(tmp_path / "joints.trc").points()["head"][:2]).all()
+    assert report["statuses"]["marker LWrist is missing"]["count"] == 5
+    assert report["statuses"]["no marker has been measured yet"]["count"] == 3
+    assert np.isnan(read_markers(tmp_path / "joints.trc").points()["head"][:3]).all()
 
 
 def test_the_overlay_has_every_frame(written):

@@ -4,13 +4,17 @@ A painted person moves both arms before the body; one arm is then put where a so
 find back from.
 """
 
+from functools import partial
 from itertools import product
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import on_device
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jax import Array
 from painted_motion import ELBOWS, MODEL, PERSON, points_of, problem, truth, views
 
 from jaxmocap.body.arms import arm_dofs, bent, hang, swing
@@ -29,16 +33,18 @@ PRICES = float(PATH.speed), float(PATH.largest_price)
 NO_CHANGE = np.zeros(len(PROPORTIONS), np.float32)
 
 
+@jax.jit
+@partial(jax.vmap, in_axes=(0, None))
+def _swung(pose: Pose, swivels: Array) -> Pose:
+    moves = jnp.zeros((2, 4), swivels.dtype).at[:, 0].set(swivels)
+    _, angles = swing(hang(PERSON, pose, GRIPS), moves)
+    return pose._replace(angles=pose.angles.at[arm_dofs(PERSON.tree)].set(angles))
+
+
 def swivelled(degrees: tuple[float, float]) -> Pose:
     """The true motion with each arm swung about its axis from shoulder to grip."""
-    moves = jnp.zeros((2, 4)).at[:, 0].set(jnp.radians(jnp.array(degrees)))
-    poses = []
-    for each in zip(*truth(COUNT), strict=True):
-        pose = Pose(*(jnp.asarray(part, jnp.float32) for part in each))
-        _, angles = swing(hang(PERSON, pose, GRIPS), moves.astype(jnp.float32))
-        moved = pose.angles.at[arm_dofs(PERSON.tree)].set(angles)
-        poses.append(pose._replace(angles=moved))
-    return Pose(*(np.stack(part) for part in zip(*poses, strict=True)))
+    poses = on_device(truth(COUNT), jnp.float32)
+    return jax.tree.map(np.asarray, _swung(poses, np.radians(degrees).astype(np.float32)))
 
 
 def goals_from(poses: Pose, shown: Views | None = None) -> np.ndarray:
@@ -84,18 +90,25 @@ def test_one_clear_frame_decides_for_the_ambiguous_ones_beside_it():
 # Joint angles of candidates ----------------------------------------------------------------------
 
 
-@settings(max_examples=8, deadline=None)
-@given(st.integers(0, COUNT - 1), st.floats(-60, 60))
-def test_an_arms_places_determine_its_joint_angles(frame, degrees):
-    poses = swivelled((degrees, -degrees))
-    pose = Pose(*(jnp.asarray(part[frame], jnp.float32) for part in poses))
+@jax.jit
+@jax.vmap
+def _bent_again(pose: Pose) -> tuple[Array, Array]:
+    """Joints (J, 3) of a pose, and (2, J, 3) with either arm's angles from its places."""
     hung = hang(PERSON, pose, GRIPS)
-    for side in range(2):
-        arm = type(hung.arms)(*(part[side] for part in hung.arms))
-        angles = np.asarray(bent(hung, side, arm))
-        again = pose.angles.at[arm_dofs(PERSON.tree)[side]].set(angles)
-        was, now = forward(PERSON, pose), forward(PERSON, pose._replace(angles=again))
-        np.testing.assert_allclose(now.joints_world, was.joints_world, atol=2e-5)
+
+    def joints(side: int) -> Array:
+        arm = jax.tree.map(lambda part: part[side], hung.arms)
+        angles = pose.angles.at[arm_dofs(PERSON.tree)[side]].set(bent(hung, side, arm))
+        return forward(PERSON, pose._replace(angles=angles)).joints_world
+
+    return forward(PERSON, pose).joints_world, jnp.stack([joints(side) for side in range(2)])
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.floats(-60, 60))
+def test_an_arms_places_determine_its_joint_angles(degrees):
+    were, are = _bent_again(swivelled((degrees, -degrees)))
+    np.testing.assert_allclose(are, np.stack([were, were], 1), atol=2e-5)
 
 
 # Decisions ---------------------------------------------------------------------------------------

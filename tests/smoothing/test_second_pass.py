@@ -36,7 +36,6 @@ from jaxmocap.evidence.appearance.learned import ROWS, Drawing
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.geometry.cameras import project
 from jaxmocap.hybrid.refine import StepReport
-from jaxmocap.hybrid.settings import Settings
 from jaxmocap.images.silhouette_grid import Grid
 from jaxmocap.pipelines.tracking.motions import unsmoothed
 from jaxmocap.pipelines.tracking.track import make_tracker, track_both
@@ -408,13 +407,6 @@ def test_causally_each_pose_waits_for_two_frames_as_the_report_has_it(both_passe
     assert np.isfinite(report.landmarks_std).all()
     alone = errors_of(both_passes[1].markers_only.poses)
     assert errors_of(motion.poses).mean() < 0.8 * alone.mean()
-
-
-def test_smoothing_can_be_switched_off(recording, problems):
-    settings = replace(Settings(), smooth=False)
-    few = replace(recording, times=TIMES[:3], positions_world=recording.positions_world[:3])
-    motion = track_both(few, tracker=make_tracker(few, settings)).motion
-    assert not problems and np.isnan(motion.report.from_prior).all()
 
 
 def test_legs_that_no_marker_holds_are_found_where_they_stand():

@@ -78,7 +78,8 @@ _points = jax.jit(jax.vmap(landmarks, (None, 0)))
 
 @jax.jit
 @jax.vmap
-def _places(pose: Pose) -> jax.Array:
+def places_of(pose: Pose) -> jax.Array:
+    """Markers (T, M, 3)."""
     return site_positions(PERSON, forward(PERSON, pose), MARKERS)
 
 
@@ -136,7 +137,7 @@ def measurements(count: int) -> dict[str, np.ndarray]:
     R = np.asarray(_turns(poses.quaternion))
     ankles = points[:, [LANDMARKS.index(f"ankle_{side}") for side in "lr"]]
     measured = {
-        "markers": _places(poses),
+        "markers": places_of(poses),
         "upright": R[:, :2, 2],
         "facing": R[:, :, 0],
         "ankles": ankles,
