@@ -19,7 +19,7 @@ from hostile_values import as_json, change_tree
 # What a bomb unpacks to, bytes: more than a case may take.
 BOMB = 5 * 2**29
 MOST_UNPACKED = 2**26
-VALUES = (np.nan, np.inf, 1e308, -1.0, 0.0, 1e9, -(2.0**63), 1e-320)
+VALUES = (np.nan, np.inf, 1e308, 1e24, 1e39, -1.0, 0.0, 1e9, -(2.0**63), 1e-320)
 DTYPES = ("f2", "f4", "f8", "i1", "i8", "u8", "?", "c16", "S3", "U9", "M8[s]", "m8[s]", "V7", "O")
 
 

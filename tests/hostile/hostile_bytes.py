@@ -157,6 +157,16 @@ def numbers_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     return new, f"{match[0].decode()} at byte {match.start()} = {brief(number)}"
 
 
+def zeroed(rng: np.random.Generator, content: bytes) -> Mutated:
+    """From one of the lines on, all numbers behind a row's first two are zeros."""
+    lines = content.split(b"\n")
+    start, rows = int(rng.integers(len(lines))), rb"((?:[^\t, ]+[\t, ]+){2})(.*)"
+    for i in range(start, len(lines)):
+        if match := re.fullmatch(rows, lines[i]):
+            lines[i] = match[1] + re.sub(rb"-?\d[\d.eE+-]*", b"0.0", match[2])
+    return b"\n".join(lines), f"zeros from line {start + 1} on"
+
+
 def words_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     """A word becomes a hostile text."""
     actual = list(islice(re.finditer(rb"[A-Za-z_][\w.]*", content), MOST_PLACES))
@@ -266,7 +276,7 @@ def c3d_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     }
     name = str(rng.choice([*header, "parameters"]))
     at = header.get(name, int(rng.integers(512, min(len(content), 3000))))
-    new = struct.pack("<f", float(rng.choice([np.nan, np.inf, 1e38, 0, -1])))
+    new = struct.pack("<f", float(rng.choice([np.nan, np.inf, 1e38, 1e24, 1e-39, 0, -1])))
     if name not in ("scale", "rate"):
         new = struct.pack("<H", int(rng.choice([0, 1, 32_767, 65_535])))
     return content[:at] + new + content[at + len(new) :], f"{name}: {new.hex()} at byte {at}"

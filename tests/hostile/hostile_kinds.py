@@ -28,9 +28,10 @@ from hostile_bytes import (
     word_changed,
     xml_changed,
     yaml_changed,
+    zeroed,
 )
 
-ROWS = (*TEXT, gap)
+ROWS = (*TEXT, gap, zeroed)
 JSON = (json_changed, json_changed, json_deep, *TEXT)
 XML = (xml_changed, xml_changed, *TEXT)
 PNG = (png_changed, png_changed, png_bomb)
