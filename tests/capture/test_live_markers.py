@@ -204,9 +204,27 @@ def test_a_clock_that_jumps_is_noticed_and_times_go_on(jump):
     np.testing.assert_allclose(times, arrivals, atol=1e-3)
 
 
+def test_packets_that_were_held_up_keep_their_rhythm_and_are_no_clock_that_was_set():
+    """A machine that compiles fetches nothing for a second, and then all of it."""
+    clock, stamps = StreamClock(), np.arange(300) / 90
+    held_up = (stamps > 1.0) & (stamps < 2.0)
+    times = [clock.time(2.0 if late else at, at) for at, late in zip(stamps, held_up, strict=True)]
+    assert clock.jumps == 0
+    np.testing.assert_allclose(times, stamps, atol=1e-3)
+
+
+def test_a_sender_that_was_paused_with_its_clock_goes_on_as_its_packets_come():
+    clock, stamps = StreamClock(), np.arange(200) / 90
+    arrivals = stamps + np.where(np.arange(200) < 100, 0.0, 10.0)
+    times = np.array([clock.time(*pair) for pair in zip(arrivals, stamps, strict=True)])
+    assert clock.jumps == 1 and (times <= arrivals).all()
+    np.testing.assert_allclose(times[130:], arrivals[130:], atol=1e-3)
+
+
 def test_a_clock_that_stands_tells_nothing():
     clock = StreamClock()
     times = [clock.time(arrival, 7.0) for arrival in np.arange(50) / 50]
+    assert clock.jumps == 0
     np.testing.assert_allclose(times, np.arange(50) / 50, atol=JUMP_S * 1e-2)
 
 
