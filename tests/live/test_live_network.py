@@ -17,9 +17,10 @@ from jaxmocap.capture.streams.udp import MAX_PACKETS_HZ, MarkerSocket, OscTable
 from jaxmocap.formats.files.addresses import LOOPBACK, Address
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.outputs.senders.osc import DatagramSender
+from jaxmocap.pipelines.live.loop import THREAD_SWITCH_S
 from jaxmocap.pipelines.live.setup import load_live
 from jaxmocap.pipelines.live.status import FIRST_KEPT, NEWEST_KEPT, LiveStatus
-from jaxmocap.pipelines.live.stream_states import stream_states
+from jaxmocap.pipelines.live.stream_states import SILENT_S, stream_states
 
 LIVE = "[markers.on]\nHmd = { bone = 'head' }\n"
 
@@ -189,6 +190,21 @@ def test_one_sender_does_not_crowd_out_another(line):
     assert heard == 90
     read = line.socket.packets - line.socket.ignored["flood"]
     assert read <= MAX_PACKETS_HZ + 400 and read - 90 <= SENDER_PACKETS_HZ + 300
+
+
+def test_under_a_flood_markers_come_in_all_the_time(line):
+    """Each packet waits for a thread that compiles, until Python switches threads."""
+
+    class Flooded:
+        def recvfrom(self, size):
+            line.at += THREAD_SWITCH_S
+            return packet(0.0, stamp=line.at).content, ("127.0.0.1", 5000)
+
+    line.socket._socket = Flooded()
+    for _ in range(100):
+        line.socket.take(waiting := line.socket._waiting())
+        assert waiting and line.at - waiting[0].arrived < SILENT_S / 2
+    assert line.socket.clock_jumps == 0
 
 
 def test_of_what_may_be_read_who_sends_little_gets_all():

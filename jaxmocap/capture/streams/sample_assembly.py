@@ -102,9 +102,10 @@ class SampleAssembler:
         if self._messages and (is_complete or time - self._time > TOGETHER_S):
             self._flush()
         if is_complete:
-            for each, marker in found:
-                if each.position is not None and marker is not None:
-                    self._orientations.pop(marker, None)
+            # Nobody who looks meanwhile misses one that comes again.
+            again = {marker for each, marker in found if each.orientation is not None}
+            for marker in {marker for each, marker in found if each.position is not None} - again:
+                self._orientations.pop(marker, None)
         for each, marker in found:
             if marker is None:
                 continue

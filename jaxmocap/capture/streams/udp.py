@@ -32,6 +32,8 @@ from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
 MAX_PACKETS_HZ = 4000
 # Packets that are read at a stroke.
 MAX_BURST = 400
+# So many seconds they are fetched at a stroke: each may wait for a thread that computes.
+FETCH_S = 0.05
 # Larger than what UDP carries.
 MAX_DATAGRAM_BYTES = 65536
 # The port that VMC's senders use.
@@ -117,9 +119,9 @@ class MarkerSocket(MarkerSource):
                 return
 
     def _waiting(self) -> list[Datagram]:
-        """All datagrams that wait, a second's at most."""
-        waiting = []
-        for _ in range(MAX_PACKETS_HZ):
+        """The datagrams that wait, as many as a moment fetches."""
+        waiting, end = [], self._now() + FETCH_S
+        while self._now() < end:
             try:
                 content, source = self._socket.recvfrom(MAX_DATAGRAM_BYTES)
             except BlockingIOError:
