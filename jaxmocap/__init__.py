@@ -6,9 +6,12 @@ are these; each is loaded when it is first used.
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+# As ``typing`` has it, which takes as long to import as all else here.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from jaxmocap.body.model import Model
     from jaxmocap.body.motion import Motion, Report
     from jaxmocap.body.pose import Pose
@@ -90,7 +93,7 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     if name not in _HOMES:
         raise AttributeError(f"module 'jaxmocap' has no attribute {name!r}")
     value = getattr(import_module(f"jaxmocap.{_HOMES[name]}"), name)

@@ -1,13 +1,14 @@
 """The command line. Begin with ``program``; ``tracking.track`` is one command from end to end.
 
-Commands are imported within ``enter``: Ctrl-C ends them with one line from the first moment on.
+Everything is imported within ``enter``: Ctrl-C ends it with one line from the first moment on.
 """
 
 import os
 import sys
-import threading
-from contextlib import suppress
-from typing import NoReturn
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any, NoReturn
 
 INTERRUPTED = 130  # 128 and the number of SIGINT
 # Exit codes above this are of processes that a signal stopped: this and the signal's number.
@@ -16,25 +17,40 @@ SIGNAL_EXIT_CODE = 128
 LONGEST_WAIT_S = 5.0
 
 
-def enter() -> NoReturn:
+def enter() -> "NoReturn":
     """The program: run the command that its arguments name, and end the process."""
     try:
+        import signal
+
+        # Python makes other errors of an exception within some imports.
+        is_ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+        if not is_ignored:
+            signal.signal(signal.SIGINT, _end_interrupted)
         from jaxmocap.cli.program import main
 
+        if not is_ignored:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         code = main()
     except KeyboardInterrupt:
-        print("jaxmocap: interrupted", file=sys.stderr, flush=True)
-        os._exit(INTERRUPTED)
+        _end_interrupted()
     end_process(code)
 
 
-def end_process(code: int) -> NoReturn:
+def _end_interrupted(*_: "Any") -> "NoReturn":
+    os.write(2, b"jaxmocap: interrupted\n")
+    os._exit(INTERRUPTED)
+
+
+def end_process(code: int) -> "NoReturn":
     """End the process soon, whatever its threads do; called last, when all that matters is closed.
 
     Where the interpreter ends while a daemon thread is in foreign code (a driver that does not
     answer, a viewer's library), it unwinds that thread through C++, which aborts the process. And
     where a command is interrupted, the interpreter would wait for what still compiles.
     """
+    import threading
+    from contextlib import suppress
+
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
             stream.flush()

@@ -475,11 +475,14 @@ def test_sigterm_is_one_sentence_143_and_outputs_as_they_were(folder):
 
 def test_ctrl_c_while_commands_are_imported_is_one_line():
     code = (
-        "import sys\n"
+        "import signal, sys\n"
+        "class Member:\n"
+        "    def __set_name__(self, *others):\n"
+        "        signal.raise_signal(signal.SIGINT)\n"
         "class Interrupting:\n"
         "    def find_spec(self, name, *others):\n"
         "        if name == 'jaxmocap.cli.setup':\n"
-        "            raise KeyboardInterrupt\n"
+        "            type('Class', (), {'member': Member()})\n"
         "sys.meta_path.insert(0, Interrupting())\n"
         "from jaxmocap.cli import enter\n"
         "enter()\n"

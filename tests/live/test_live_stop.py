@@ -1,5 +1,6 @@
 """How a live run ends: whole, soon, and with every thread and process that it began."""
 
+import importlib
 import json
 import os
 import re
@@ -134,6 +135,25 @@ def test_a_signal_waits_until_what_was_begun_can_be_ended():
             done.append("begun")
         done.append("never")
     assert done == ["begun"]
+
+
+@pytest.mark.parametrize(
+    ("number", "raised"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)]
+)
+@pytest.mark.parametrize("then_s", [0.0, 1.0])
+def test_a_signal_within_an_import_waits_until_it_is_done(
+    tmp_path, monkeypatch, number, raised, then_s
+):
+    """Libraries made other errors of it, went on, or crashed."""
+    (tmp_path / "imported_whole.py").write_text(f"import signal\nsignal.raise_signal({number})\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "imported_whole", raising=False)
+    before, done = signal.getsignal(number), []
+    with pytest.raises(raised), raised_on_sigterm():
+        done.append(importlib.import_module("imported_whole"))
+        time.sleep(then_s)
+        done.append("slept")
+    assert len(done) == (1 if then_s else 2) and signal.getsignal(number) is before
 
 
 def test_a_run_outside_the_main_thread_has_no_signals():
