@@ -19,6 +19,7 @@ from av.packet import Packet
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
+from jaxmocap.capture.decoding import FORMATS, decoder_options, image_of, refused_codec
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import regular_file
@@ -40,17 +41,7 @@ MAX_FRAMES = 2_000_000
 MAX_DURATION_S = 604_800.0
 # Frames per second of a video without stamps.
 MAX_RATE_HZ = 100_000.0
-# Files that hold their video themselves. Playlists and scripts, which FFmpeg reads as well, lead to
-# other files, pipes and hosts.
-_CONTAINER_FORMATS = (
-    "mov,mp4,matroska,webm,avi,mpegts,mpeg,mpegvideo,flv,asf,ogg,mxf,nut,dv,ivf,gif,wav,"
-    "h264,hevc,vvc,m4v,mjpeg,obu,av1,cine,ser,gxf,wtv,dhav,yuv4mpegpipe"
-)
-_OPTIONS = {
-    "format_whitelist": _CONTAINER_FORMATS,
-    "protocol_whitelist": "file",
-    "max_pixels": str(MAX_PIXELS),
-}
+_OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "file"} | decoder_options(MAX_PIXELS)
 
 
 class FrameSource(ABC):
@@ -127,9 +118,11 @@ class Video(FrameSource):
             raise InputError(self.path, NO_VIDEO) from None
         if not container.streams.video:
             problem = f"{NO_VIDEO}, it has no video stream"
-        elif (context := container.streams.video[0].codec_context) is None:
-            problem = f"{NO_VIDEO}, nothing decodes its video stream"
-        elif context.width * context.height > MAX_PIXELS:
+        elif problem := refused_codec(container.streams.video[0]):
+            problem = f"{NO_VIDEO}, {problem}"
+        elif (
+            context := container.streams.video[0].codec_context
+        ).width * context.height > MAX_PIXELS:
             problem = f"found images of {context.width} × {context.height} pixels"
             problem += f", expected up to {MAX_PIXELS / 1e6:.0f} million"
         else:
@@ -200,7 +193,7 @@ class Video(FrameSource):
         with self._open() as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
-            stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
+            stream.codec_context.options = decoder_options(MAX_PIXELS)
             count = 0
             for packet in _packets(container, stream):
                 try:
@@ -315,16 +308,3 @@ def _frame_index(stamps: np.ndarray, stamp: int | None) -> int:
     """Where a stamp is among ascending ones; -1 where it is not."""
     i = -1 if stamp is None else int(np.searchsorted(stamps, stamp))
     return i if 0 <= i < len(stamps) and stamps[i] == stamp else -1
-
-
-def image_of(frame: VideoFrame, luma: bool) -> np.ndarray:
-    """A frame as BGR or grey array, rotated upright as its file states."""
-    if luma and frame.format.name in ("yuv420p", "yuvj420p", "nv12", "gray"):
-        plane = frame.planes[0]
-        # A plane is a buffer, which its type stubs do not say.
-        rows = np.frombuffer(memoryview(plane), np.uint8)  # type: ignore[arg-type]
-        image = rows.reshape(-1, plane.line_size)[: frame.height, : frame.width]
-    else:
-        image = frame.to_ndarray(format="gray" if luma else "bgr24")
-    upright = np.rot90(image, round(frame.rotation / 90))
-    return np.array(upright, order="C")

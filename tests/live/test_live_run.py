@@ -10,7 +10,6 @@ from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
-import av
 import numpy as np
 import pytest
 from pythonosc.osc_packet import OscPacket
@@ -261,21 +260,6 @@ def test_images_of_another_size_than_calibrated_are_not_used(tmp_path, monkeypat
     camera.start()
     camera._thread.join(2.0)
     assert camera.frames == 0 and "640 × 480 pixels, calibrated for 96 × 72" in str(camera.problem)
-
-
-def test_a_stream_of_far_larger_images_than_calibrated_is_not_decoded(tmp_path):
-    clip, most = str(tmp_path / "clip.ts"), cameras.max_pixels((96, 72))
-    with av.open(clip, "w", format="mpegts") as container:
-        stream = container.add_stream("libx264", rate=30, options={"tune": "zerolatency"})
-        stream.width, stream.height, stream.pix_fmt = 96, 72, "yuv420p"
-        for _ in range(30):
-            picture = av.VideoFrame.from_ndarray(np.zeros((72, 96), np.uint8), format="gray")
-            container.mux(stream.encode(picture))
-        container.mux(stream.encode())
-    frames = list(cameras.stream_frames(clip, False, most))
-    assert len(frames) >= 20 and frames[0].shape == (72, 96)
-    with pytest.raises(InputError, match="images of 96 × 72 pixels, far more"):
-        list(cameras.stream_frames(clip, False, 1000))
 
 
 def test_why_a_camera_does_not_come_is_reported(tmp_path, monkeypatch):

@@ -5,7 +5,10 @@ became of it.
 """
 
 import math
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import dataclass
@@ -14,14 +17,14 @@ from threading import Event
 from time import monotonic
 from typing import Any
 
-import av
 import numpy as np
-from av.codec.context import Flags
 from av.error import FFmpegError
 
+from jaxmocap.capture import decoding
+from jaxmocap.capture.decoding import TIMEOUT_S
 from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.capture.streams.source import Listener
-from jaxmocap.capture.video import SIZE_TOLERANCE, Video, image_of
+from jaxmocap.capture.video import SIZE_TOLERANCE, Video
 from jaxmocap.formats.cameras.video_sources import read_video_tables
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import short_repr
@@ -31,15 +34,10 @@ from jaxmocap.geometry.cameras import Camera
 Images = Generator[np.ndarray, None, None]
 # A camera that went away is asked for again after so many seconds.
 RETRY_S = 0.5
-# A stream that says nothing for so many seconds is gone.
-TIMEOUT_S = 2.0
-# What keeps FFmpeg from gathering frames before it gives the first.
-LOW_LATENCY_OPTIONS = {
-    "fflags": "nobuffer",
-    "flags": "low_delay",
-    "probesize": "32768",
-    "analyzeduration": "0",
-}
+# What a pipe holds, where the system lets it: an image has megabytes.
+PIPE_BYTES = 2**20
+# Of a sentence about what went wrong.
+MAX_REASON_BYTES = 500
 
 # More than any live run has; compiling takes as long as there are cameras.
 MAX_CAMERAS = 16
@@ -177,27 +175,37 @@ def paced_frames(video: Video, colour: bool, stop: Event) -> Images:
 
 
 def stream_frames(url: str, colour: bool, max_pixels: int) -> Images:
-    """Frames of at most so many pixels of a network stream, as they come, until it ends."""
-    with av.open(url, options=LOW_LATENCY_OPTIONS, timeout=TIMEOUT_S) as container:
-        if not container.streams.video:
-            raise InputError(short_repr(url), "has no video stream")
-        stream = container.streams.video[0]
-        width, height = stream.codec_context.width, stream.codec_context.height
-        if width * height > max_pixels:
-            problem = f"images of {width} × {height} pixels"
-            raise InputError(short_repr(url), f"{problem}, far more than it was calibrated for")
-        stream.codec_context.options = {"max_pixels": str(max_pixels)}
-        stream.codec_context.flags |= Flags.low_delay
-        # Threads that share the frames would each hold one back.
-        stream.thread_type = "SLICE"
-        for packet in container.demux(stream):
-            try:
-                decoded = packet.decode()
-            except FFmpegError:
-                continue
-            for frame in decoded:
-                if not frame.is_corrupt:
-                    yield image_of(frame, luma=not colour)
+    """Frames of at most so many pixels of a network stream, as they come, until it ends.
+
+    A process of its own decodes them, within limits of memory and time.
+
+    Raises:
+        InputError: it cannot be had, has no video that is decoded, or its process has ended.
+    """
+    script = [sys.executable, "-I", decoding.__file__]
+    command = [*script, url, "colour" if colour else "grey", str(max_pixels)]
+    # Each further thread of its libraries would take addresses.
+    alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    nowhere = subprocess.DEVNULL
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=nowhere, env=alone, pipesize=PIPE_BYTES
+    ) as process:
+        assert process.stdout is not None
+        try:
+            while len(header := process.stdout.read(decoding.HEADER.size)) == decoding.HEADER.size:
+                height, width, channels = decoding.HEADER.unpack(header)
+                if not height:
+                    if reason := process.stdout.read(MAX_REASON_BYTES).decode(errors="replace"):
+                        raise InputError(short_repr(url), reason)
+                    return
+                # Whoever has sent may write here by now.
+                if channels not in (1, 3) or height * width > max_pixels:
+                    break
+                image = np.frombuffer(process.stdout.read(height * width * channels), np.uint8)
+                yield image.reshape((height, width, channels)[: 2 if channels == 1 else 3])
+            raise InputError(short_repr(url), "the process that decodes it has ended")
+        finally:
+            process.kill()
 
 
 def device_frames(device: int, size: list[int], colour: bool) -> Images:

@@ -104,8 +104,9 @@ class SampleAssembler:
         if is_complete:
             # Nobody who looks meanwhile misses one that comes again.
             again = {marker for each, marker in found if each.orientation is not None}
-            for marker in {marker for each, marker in found if each.position is not None} - again:
-                self._orientations.pop(marker, None)
+            for each, marker in found:
+                if each.position is not None and marker is not None and marker not in again:
+                    self._orientations.pop(marker, None)
         for each, marker in found:
             if marker is None:
                 continue
