@@ -27,7 +27,7 @@ from jaxmocap.formats.files.errors import InputError
 
 SIZE = (96, 72)
 MOST = cameras.max_pixels(SIZE)
-MULTIPART = "multipart/x-mixed-replace;boundary=ffmpeg"
+MULTIPART = "multipart/x-mixed-replace;boundary=x"
 
 
 def write_clip(to: str, kind: str, codec: str = "libx264", frames: int = 100, pace_s: float = 0.0):
@@ -119,13 +119,15 @@ def web_server(folder: Path):
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "codec"), [("a.mjpg", "mpjpeg", "mjpeg"), ("a.ts", "mpegts", "libx264")]
+    ("name", "kind", "codec"), [("a.mjpg", "mjpeg", "mjpeg"), ("a.ts", "mpegts", "libx264")]
 )
 def test_a_camera_on_the_web_is_read(tmp_path, name, kind, codec):
-    # As cameras write it.
-    content = (
-        clip(tmp_path, kind, codec).replace(b"-length", b"-Length").replace(b"-type", b"-Type")
-    )
+    content = clip(tmp_path, kind, codec)
+    if kind == "mjpeg":
+        # As cameras write it.
+        images = re.findall(rb"\xff\xd8.*?\xff\xd9", content, re.DOTALL)
+        head = b"--x\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n"
+        content = b"".join(head % len(image) + image + b"\r\n" for image in images)
     (tmp_path / name).write_bytes(content)
     with web_server(tmp_path) as address:
         assert len(list(stream_frames(f"{address}/{name}", False, MOST))) >= 20

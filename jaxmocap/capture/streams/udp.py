@@ -121,7 +121,7 @@ class MarkerSocket(MarkerSource):
     def _waiting(self) -> list[Datagram]:
         """The datagrams that wait, as many as a moment fetches."""
         waiting, end = [], self._now() + FETCH_S
-        while self._now() < end:
+        while len(waiting) < MAX_BURST and self._now() < end:
             try:
                 content, source = self._socket.recvfrom(MAX_DATAGRAM_BYTES)
             except BlockingIOError:

@@ -11,7 +11,7 @@ bone, ``lever`` metres from the first along two of the bone's axes, lie where th
 radian weighs as much as ``lever`` metres, and every stage that takes markers takes orientations.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -139,25 +139,43 @@ def bone_point_positions(
     positions_world: np.ndarray,
     R_world_marker: np.ndarray,
 ) -> np.ndarray:
-    """Where the points of ``bone_points`` are.
+    """Where the points of ``bone_points`` are; see ``bone_point_binder``."""
+    return bone_point_binder(skeleton, places)(positions_world, R_world_marker)
+
+
+def bone_point_binder(
+    skeleton: Skeleton, places: Sequence[MarkerPlace]
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """What takes measurements to the points of ``bone_points``.
 
     Args:
         skeleton: with the bones.
         places: of the M markers.
-        positions_world: (..., M, 3) of the markers, metres; NaN where missing.
-        R_world_marker: (..., M, 3, 3) from the markers' axes; NaN where missing.
 
     Returns:
-        (..., P, 3) metres; NaN where a marker is missing, or its orientation where that is needed.
+        A function of positions (..., M, 3), metres, NaN where missing, and rotations from the
+        markers' axes (..., M, 3, 3), NaN where missing. It returns the points (..., P, 3), NaN
+        where a marker is missing, or its orientation where that is needed.
     """
-    points = []
-    for i, place in enumerate(places):
-        point, R = positions_world[..., i, :], R_world_marker[..., i, :, :]
-        if place.offset_in == "marker":
-            point = point - R @ np.array(place.offset)
-        points.append(point)
-        if place.orientation is not None:
-            R_world_bone = R @ matrices(np.array([place.orientation]))[0].T
-            levers = _lever_axes(skeleton, place.bone).values()
-            points += [point + place.lever * (R_world_bone @ lever) for lever in levers]
-    return np.stack(points, -2)
+    levers = [_levers_marker(skeleton, place) for place in places]
+    offsets = [np.array(p.offset) if p.offset_in == "marker" else None for p in places]
+
+    def bind(positions_world: np.ndarray, R_world_marker: np.ndarray) -> np.ndarray:
+        points = []
+        for i, offset in enumerate(offsets):
+            point, R = positions_world[..., i, :], R_world_marker[..., i, :, :]
+            if offset is not None:
+                point = point - R @ offset
+            points += [point, *(point + R @ lever for lever in levers[i])]
+        return np.stack(points, -2)
+
+    return bind
+
+
+def _levers_marker(skeleton: Skeleton, place: MarkerPlace) -> list[np.ndarray]:
+    """From a marker's point to those that its orientation gives, metres, in its own axes."""
+    if place.orientation is None:
+        return []
+    R_bone_marker = matrices(np.array([place.orientation]))[0]
+    axes = _lever_axes(skeleton, place.bone).values()
+    return [place.lever * (R_bone_marker.T @ axis) for axis in axes]

@@ -17,7 +17,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -27,7 +26,7 @@ import numpy as np
 from jaxmocap.capture.streams.cameras import LiveCamera
 from jaxmocap.capture.streams.inbox import Inbox, LiveFrame
 from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
-from jaxmocap.formats.recordings.marker_places import bone_point_positions
+from jaxmocap.formats.recordings.marker_places import bone_point_binder
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.senders.osc import DatagramSender
 from jaxmocap.outputs.senders.unity import UnityBody
@@ -102,7 +101,7 @@ class Live:
             ending.callback(self.recording.close)
         self._inbox = Inbox(LONGEST_QUEUE, keep_turns=not smooth)
         self._began = monotonic()
-        bind = partial(bone_point_positions, setup.skeleton, setup.places)
+        bind = bone_point_binder(setup.skeleton, setup.places)
         gathering = SampleAssembler(
             setup.marker_names, setup.source.aliases, setup.R_world_source, self._take_sample, bind
         )
