@@ -20,7 +20,9 @@ INTERNAL = re.compile(
     r"Traceback|None:|\.jaxmocap-|object at 0x|\b[A-Z]\w+(Error|Exception|Warning)\b|\[Errno|"
     r"\barray\(|dtype\(|<class "
 )
-PROGRESS = re.compile(r"\d+it \[|\d+%\||it/s|s/it")
+# Of a live run: its log, and its line of figures.
+LIVE = r"^ +\d+\.\d\d s  |\d /s \| "
+PROGRESS = re.compile(rf"\d+it \[|\d+%\||it/s|s/it|{LIVE}")
 # Characters that steer a terminal, or are invisible: controls, directions, half pairs.
 UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
@@ -115,7 +117,7 @@ def _unseen(character: str) -> bool:
 
 
 def printed(text: str) -> list[str]:
-    """Lines of stderr but for progress bars."""
+    """Lines of stderr but for progress."""
     lines = [line.rsplit("\r", 1)[-1].rstrip("\r") for line in text.split("\n")]
     return [line for line in lines if line.strip() and not PROGRESS.search(line)]
 

@@ -130,6 +130,7 @@ def test_files_that_are_changed_lost_or_left_are_found(act, actual, tmp_path):
 
 
 def test_progress_is_no_sentence():
+    assert not printed("    0.06 s  missing: none\ncompiling 0 s |   0 /s | dropped 0 samples\n")
     assert printed("tracking: 0it [00:00, ?it/s]\rtracking:  50%|##\n\njaxmocap a: b\n") == [
         "jaxmocap a: b"
     ]
