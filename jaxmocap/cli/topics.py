@@ -33,6 +33,7 @@ TOPICS = (
     "terms",
     "how_it_works",
     "limits",
+    "security",
     "papers",
     "glossary",
 )
