@@ -117,7 +117,7 @@ def write_retargeted(
         OutputError: the disk is full; every file that is there is complete.
     """
     motion, skin = motions.retargeted, (motions.surface, motions.picture)
-    files = folder.write(lambda stage: write_motion(motion, stage, *skin, warn))
+    files = folder.write(lambda stage: write_motion(motion, stage, *skin, warn), more_follows=True)
     return files + folder.write(partial(_write_pictures, motions))
 
 

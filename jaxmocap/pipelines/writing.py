@@ -138,7 +138,8 @@ def write_outputs(
     folder = tracked_folder(directory, recording, formats.more_files)
     videos, warnings = open_footage(recording)
     files = folder.write(
-        lambda stage: write_numbers(motion, recording, stage, warnings, warn=warn, formats=formats)
+        lambda stage: write_numbers(motion, recording, stage, warnings, warn=warn, formats=formats),
+        more_follows=True,
     )
     return files + folder.write(
         lambda stage: _write_pictures(motion, recording, videos, stage, settings, progress)

@@ -31,6 +31,20 @@ def test_a_run_replaces_its_own_files_and_removes_those_that_it_no_longer_has(tm
     assert list(json.loads((tmp_path / LIST_NAME).read_text())["files"]) == ["joints"]
 
 
+def test_what_an_earlier_run_wrote_stays_until_the_last_write(tmp_path):
+    """Numbers move into place before pictures are drawn: a kill in between loses no picture."""
+    write(tmp_path, joints="1", overlay="1", old="1")
+    folder = OutputFolder(tmp_path, "motion")
+    with folder.writing(more_follows=True) as stage:
+        (stage / "joints").write_text("2")
+    assert texts(tmp_path) == {"joints": "2", "overlay": "1", "old": "1"}
+    assert set(read_list(tmp_path)) == {"joints", "overlay", "old"}
+    with folder.writing() as stage:
+        (stage / "overlay").write_text("2")
+    assert texts(tmp_path) == {"joints": "2", "overlay": "2"}
+    assert set(read_list(tmp_path)) == {"joints", "overlay"}
+
+
 def test_another_kind_of_run_in_the_same_folder_keeps_its_files(tmp_path):
     write(tmp_path, kind="pictures of cam_01", corners="1")
     write(tmp_path, kind="motion", joints="2")

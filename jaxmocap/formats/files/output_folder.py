@@ -7,8 +7,8 @@
 
 INPUTS: the folder, the names that will be written, the files that are read. OUTPUTS: a hidden
 folder to write to; when all is complete it is moved into place at once, and what an earlier run of
-the kind wrote and this one did not is removed. A run may write several times. A file that the list
-does not name, or that has changed since, is never touched.
+the kind wrote and this one did not is removed. A run may write several times; what is removed goes
+at its last. A file that the list does not name, or that has changed since, is never touched.
 """
 
 import hashlib
@@ -90,8 +90,11 @@ class OutputFolder:
         self._check_free(self._names)
 
     @contextmanager
-    def writing(self) -> Iterator[Path]:
+    def writing(self, more_follows: bool = False) -> Iterator[Path]:
         """Write everything, then move it into place; after an error nothing has changed.
+
+        Args:
+            more_follows: the run writes again: an earlier run's files stay until then.
 
         Yields:
             A hidden folder within this one: what is written there is this run's.
@@ -109,7 +112,7 @@ class OutputFolder:
             with _errors_named_as_in(self.path, stage):
                 yield stage
             with as_output_error(self.path):
-                self._move_into_place(stage)
+                self._move_into_place(stage, more_follows)
         finally:
             shutil.rmtree(stage, ignore_errors=True)
             if not there:
@@ -117,13 +120,15 @@ class OutputFolder:
                 with suppress(OSError):
                     self.path.rmdir()
 
-    def write(self, files: Callable[[Path], Iterable[Path]]) -> list[Path]:
+    def write(
+        self, files: Callable[[Path], Iterable[Path]], more_follows: bool = False
+    ) -> list[Path]:
         """The same by a function that writes files into a folder and returns their paths.
 
         Returns:
             The files, as they are called once they are in place.
         """
-        with self.writing() as stage:
+        with self.writing(more_follows) as stage:
             written = files(stage)
         return [self.path / path.relative_to(stage) for path in written]
 
@@ -149,8 +154,8 @@ class OutputFolder:
                 problem = "is there and no earlier run wrote it"
             raise InputError(path, f"{problem}; move it away, or write to another folder")
 
-    def _move_into_place(self, stage: Path) -> None:
-        """Replace what the list names, then remove what is left of it.
+    def _move_into_place(self, stage: Path, more_follows: bool) -> None:
+        """Replace what the list names, then remove what is left of it unless more follows.
 
         Whenever this is cut off, every file is complete and in the list.
         """
@@ -181,10 +186,13 @@ class OutputFolder:
         for name, path in new.items():
             (self.path / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(path, self.path / name)
-        for name in set(ours) - set(wrote):
-            if _is_unchanged(self.path / name, ours[name]):
-                (self.path / name).unlink()
-        _write_list(self.path, others | wrote)
+        if more_follows:
+            _write_list(self.path, listed | wrote)
+        else:
+            for name in set(ours) - set(wrote):
+                if _is_unchanged(self.path / name, ours[name]):
+                    (self.path / name).unlink()
+            _write_list(self.path, others | wrote)
         self._written = wrote
 
 

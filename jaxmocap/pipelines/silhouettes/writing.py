@@ -73,7 +73,9 @@ def write_results(
     """
     folder, skin = results_folder(directory, recording, inputs), _skin(result, person)
     motion = result.motion
-    files = folder.write(lambda stage: write_numbers(motion, recording, stage, (), *skin, warn))
+    files = folder.write(
+        lambda stage: write_numbers(motion, recording, stage, (), *skin, warn), more_follows=True
+    )
     return files + folder.write(
         lambda stage: _write_pictures(result, recording, stage, skin, progress)
     )
