@@ -34,8 +34,8 @@ def test_a_licence_is_as_its_package_states(name):
         metadata = importlib.metadata.metadata(name)
     except importlib.metadata.PackageNotFoundError:
         pytest.skip(f"{name} is not installed")
-    actual = " ".join([metadata["License-Expression"] or "", metadata["License"] or "", ""])
-    actual += " ".join(metadata.get_all("Classifier", []))
+    fields = ("License-Expression", "License", "Classifier")
+    actual = " ".join(text for field in fields for text in metadata.get_all(field, []))
     if not actual.strip():
         pytest.skip(f"{name} states none")
     word = re.match(r"MPL|MIT|BSD|Apache|Python", STATED[name])[0]
