@@ -141,21 +141,27 @@ def eased_near_lock(angles: np.ndarray, order: str) -> np.ndarray:
             if large[max(first - 1, 0) : last, joint].any():
                 # One sample more at either side stays as it is.
                 part = slice(max(first - 1, 0), last + 1)
-                outer, against = angles[part, joint, ::2], np.sign(along[first, joint])
-                eased[part, joint, ::2] += _turn(outer, against, error[part, joint])
+                outer, sign = angles[part, joint, ::2], np.sign(along[first, joint])
+                eased[part, joint, ::2] += _opposite_turns(outer, sign, error[part, joint])
     return eased
 
 
-def _turn(outer: np.ndarray, along: float, error: np.ndarray) -> np.ndarray:
-    """What to add to outer angles (T, 2) near lock, none at the ends; 0 where the error forbids."""
+def _opposite_turns(outer: np.ndarray, sign: float, error: np.ndarray) -> np.ndarray:
+    """What to add to outer angles (T, 2) near lock; 0 at the ends, and where the error forbids.
+
+    Args:
+        outer: radians.
+        sign: 1 where both axes point the same way, -1 where opposite ways.
+        error: (T,) radians of the rotation by each radian of the turns.
+    """
     is_end = ~(error < _NEAR_LOCK)
     damping = 1 / _STEP_FOR_ERROR**2
-    pull = damping * np.nan_to_num(np.diff(outer[:, 0]) - along * np.diff(outer[:, 1])) / 2
+    pull = damping * np.nan_to_num(np.diff(outer[:, 0]) - sign * np.diff(outer[:, 1])) / 2
     bands = np.full((2, len(outer)), -damping)
     bands[1] = np.where(is_end, 1e6, np.maximum(error, _IN_LOCK) ** 2 + 2 * damping)
     turn = solveh_banded(bands, np.append(pull, 0.0) - np.append(0.0, pull))
     turn = np.where(is_end | (np.abs(turn * error).max() > _MOST_ERROR), 0.0, turn)
-    return turn[:, None] * [1.0, -along]
+    return turn[:, None] * [1.0, -sign]
 
 
 def _cheapest(ways: np.ndarray, places: _Places, interval: float) -> np.ndarray:

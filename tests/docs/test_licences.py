@@ -33,11 +33,11 @@ def test_a_licence_is_as_its_package_states(name):
     try:
         metadata = importlib.metadata.metadata(name)
     except importlib.metadata.PackageNotFoundError:
-        pytest.skip(f"{name} is not installed")
+        pytest.skip(f"{name} is not installed here: an extra of pyproject.toml brings it")
     fields = ("License-Expression", "License", "Classifier")
     actual = " ".join(text for field in fields for text in metadata.get_all(field, []))
     if not actual.strip():
-        pytest.skip(f"{name} states none")
+        pytest.skip(f"the installed {name} states no licence to compare the page with")
     word = re.match(r"MPL|MIT|BSD|Apache|Python", STATED[name])[0]
     assert word.lower() in actual.lower()
     assert bool(re.search(r"\bMPL\b", actual)) == ("MPL" in STATED[name])

@@ -188,7 +188,9 @@ def test_a_process_that_dies_of_a_stream_leaves_the_run_going(tmp_path, monkeypa
     assert started[0].returncode is not None
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="Windows has no such limit")
+@pytest.mark.skipif(
+    not hasattr(signal, "SIGKILL"), reason="this system cannot limit a process's memory"
+)
 def test_the_process_has_limits_of_memory_and_time(tmp_path):
     begins = "import sys; sys.path.insert(0, sys.argv[1]); import decoding; import time\n"
     hangs = "decoding.FRAME_LIMIT_S = 0.5\ndecoding.write_images(iter(lambda: time.sleep(60), 0))"
