@@ -20,7 +20,7 @@ from jaxmocap.cli.command import Command
 from jaxmocap.cli.completion import add_completion
 from jaxmocap.cli.reporting import check_report
 from jaxmocap.cli.results import convert, evaluate, retarget, view
-from jaxmocap.cli.setup import check, keypoints, offsets, scale, sync
+from jaxmocap.cli.setup import check, keypoints, offsets, plan, scale, sync
 from jaxmocap.cli.tracking import batch, demo, live, track, video, warmup
 from jaxmocap.formats.files.errors import InputError, OutputError, printable, shortened
 from jaxmocap.pipelines.signals import Terminated, raised_on_sigterm
@@ -47,6 +47,7 @@ COMMANDS = (
     retarget.COMMAND,
     scale.COMMAND,
     offsets.COMMAND,
+    plan.COMMAND,
     topics.COMMAND,
 )
 # A command of several kinds -> its purpose, and these.

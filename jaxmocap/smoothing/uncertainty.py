@@ -39,11 +39,15 @@ def landmark_deviations(
     Returns:
         Deviations (T, L, 3), metres; (T, L) 1 where a landmark comes from the prior, else 0.
     """
-    loose = variances / (variances + HELD_M**2)
-    deviations = np.sqrt(variances + loose * (mismatch * landmark_mismatches()) ** 2)
     from_prior = variances.sum(-1) > GUESSED * without_video.sum(-1)
     markers_hold = without_video.sum(-1) < 9 * HELD_M**2
-    return deviations, (from_prior & ~markers_hold).astype(float)
+    return deviations_of(variances, mismatch), (from_prior & ~markers_hold).astype(float)
+
+
+def deviations_of(variances: Any, mismatch: Any) -> Any:
+    """Deviations (..., L, 3), metres, of NumPy or JAX; see ``landmark_deviations``."""
+    loose = variances / (variances + HELD_M**2)
+    return (variances + loose * (mismatch * landmark_mismatches()) ** 2) ** 0.5
 
 
 def with_deviations(

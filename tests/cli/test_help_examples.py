@@ -48,7 +48,7 @@ SHORT = {
     "calibrate intrinsics": 0,
     "calibrate extrinsics": 0,
 }
-LONG = {"demo", "warmup", "batch", "live", "silhouette demo", "silhouette track"}
+LONG = {"demo", "plan", "warmup", "batch", "live", "silhouette demo", "silhouette track"}
 LONG |= {"silhouette model", "video"}
 # Stands in for MediaPipe: where the truth's joints are, frame by frame, as shares of the image.
 DETECTOR = """
@@ -125,7 +125,7 @@ def run(name: str, folder: Path, *more: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["demo", "silhouette demo"])
+@pytest.mark.parametrize("name", ["demo", "plan", "silhouette demo"])
 def test_an_example_that_needs_nothing_runs(name, tmp_path):
     run(name, tmp_path)
 

@@ -1,0 +1,118 @@
+"""What a plan is for, and what it must keep to: joints, walls, lenses.
+
+INPUTS: options. OUTPUTS: landmarks, bounds, cameras; InputError where there is nothing to plan.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.fitting.camera_plan import placement
+from jaxmocap.fitting.camera_plan.placement import Bounds, CameraPlace
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.geometry.cameras import Camera
+
+# Of a usual camera, pixels; its field of view along the longer side, degrees.
+SIZE, FOV_DEG = (640, 480), 60.0
+LEAST_FOV_DEG, MOST_FOV_DEG = 20.0, 120.0
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a plan is for, and what it must keep to.
+
+    Attributes:
+        joints: landmarks, or pairs of them in the plural: elbows.
+        cameras: to be placed, one after the other.
+        free_m: how far a camera may stand ahead, behind, to the left, to the right, metres.
+        heights_m: the lowest and the highest place of a camera above the floor, metres.
+        fov_deg: fields of view along the image's longer side, from and to, degrees; None is that
+            of the recording's first camera, or a usual one.
+        rate: frames a second.
+    """
+
+    joints: tuple[str, ...] = ("elbows",)
+    cameras: int = 2
+    free_m: tuple[float, ...] = (3.0, 3.0, 3.0, 3.0)
+    heights_m: tuple[float, ...] = (0.4, 2.2)
+    fov_deg: tuple[float, ...] | None = None
+    rate: float = 30.0
+
+    def landmarks(self) -> tuple[str, ...]:
+        """Of the joints.
+
+        Raises:
+            InputError: there is no such joint.
+        """
+        found: list[str] = []
+        for name in self.joints:
+            pair = tuple(f"{name.removesuffix('s')}_{side}" for side in "lr")
+            if name in LANDMARKS:
+                found.append(name)
+            elif name.endswith("s") and set(pair) <= set(LANDMARKS):
+                found += pair
+            else:
+                valid = "elbows, wrists, shoulders, hips, knees, ankles or one of "
+                raise InputError(
+                    "--joints", f"found {name!r}, expected {valid}{', '.join(LANDMARKS)}"
+                )
+        return tuple(dict.fromkeys(found))
+
+    def bounds(self) -> Bounds:
+        """Of a camera's place.
+
+        Raises:
+            InputError: there is no room.
+        """
+        ahead, behind, left, right = self.free_m
+        low, high = self.heights_m
+        if min(self.free_m) < 0:
+            raise InputError("--room", f"found {min(self.free_m):g}, expected distances from 0 on")
+        if not 0 <= low <= high:
+            raise InputError("--heights", f"found {low:g} and {high:g}, expected the lower first")
+        if max(np.hypot(a, b) for a in (ahead, behind) for b in (left, right)) < (
+            least := placement.NEAREST_M
+        ):
+            raise InputError("--room", f"leaves no place {least:g} m from the person")
+        # Over half a turn to either side, so that no seam lies where somebody stands.
+        turn, steep = 2 * np.pi, placement.STEEPEST
+        return Bounds(
+            CameraPlace(-behind, -right, low, -turn, -steep, 0.0),
+            CameraPlace(ahead, left, high, turn, steep, 0.0),
+        )
+
+    def lens(self, cameras: Sequence[Camera]) -> tuple[Camera, float]:
+        """A camera with the widest lens, and by how much it zooms in (natural logarithm).
+
+        Args:
+            cameras: that stand already; the first one's lens holds where none was asked for.
+
+        Raises:
+            InputError: no camera has that field of view.
+        """
+        if self.fov_deg is None:
+            return (cameras[0] if cameras else usual_camera(FOV_DEG)), 0.0
+        size = np.asarray(cameras[0].size) if cameras else SIZE
+        for fov in self.fov_deg:
+            if not LEAST_FOV_DEG <= fov <= MOST_FOV_DEG:
+                expected = f"expected {LEAST_FOV_DEG:g} to {MOST_FOV_DEG:g} degrees"
+                raise InputError("--fov", f"found {fov:g}, {expected}")
+        wide, narrow = (np.tan(np.radians(f(self.fov_deg)) / 2) for f in (max, min))
+        return usual_camera(max(self.fov_deg), size), float(np.log(wide / narrow))
+
+
+def usual_camera(fov_deg: float, size: Sequence[float] | np.ndarray = SIZE) -> Camera:
+    """A camera without distortion, by its field of view along the longer side, degrees."""
+    width, height = (float(each) for each in size)
+    focal = max(width, height) / 2 / np.tan(np.radians(fov_deg) / 2)
+    centre = (width - 1) / 2, (height - 1) / 2
+    matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
+    return Camera.create((width, height), matrix)
+
+
+def fov_deg(camera: Camera) -> float:
+    """Along the longer side, without distortion."""
+    focal = float(camera.matrix[0, 0])
+    return float(np.degrees(2 * np.arctan(float(np.max(np.asarray(camera.size))) / 2 / focal)))
