@@ -20,13 +20,13 @@ import numpy as np
 from bench.clips import MOTIONS, REAL_LANDMARKS, Clip, exercises, real, synthetic
 from bench.command_line import add_rendered, command
 from bench.evaluation import Sureness, sureness_of
-from bench.interval_coverage import interval_coverage
 from bench.metrics import Metric, aligned, write_json
 from bench.silhouette import REAL
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.capture.timeline import Mode
+from jaxmocap.evaluation.interval_coverage import interval_coverage
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.evaluation import Result, Sureness
-from bench.interval_coverage import IntervalCoverage, interval_coverage
 from bench.metrics import aligned
+from jaxmocap.evaluation.interval_coverage import IntervalCoverage, interval_coverage
 
 # Of the real recording, which these cameras see from the front and the sides.
 FRONT = ("cam_01", "cam_02", "cam_04")

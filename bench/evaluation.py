@@ -153,13 +153,9 @@ def calm_of(motion: Motion, clip: Clip) -> AccelerationAndLag:
 
 def sureness_of(motion: Motion, clip: Clip) -> Sureness | None:
     """Errors of every landmark that the reference has, beside the reported deviations."""
-    deviations = getattr(motion.report, "landmarks_std", None)
-    if deviations is None:
-        return None
     errors = evaluate(motion, clip.truth, clip.landmarks)
+    if motion.report is None or errors.deviations is None:
+        return None
     rows = np.searchsorted(motion.times, errors.times)
-    columns = landmark_rows(clip.landmarks)
-    from_prior = np.asarray(getattr(motion.report, "from_prior", np.zeros(deviations.shape[:2])))
-    return Sureness(
-        errors.joints, errors.offsets, deviations[rows][:, columns], from_prior[rows][:, columns]
-    )
+    from_prior = motion.report.from_prior[rows][:, landmark_rows(clip.landmarks)]
+    return Sureness(errors.joints, errors.offsets, errors.deviations, from_prior)

@@ -18,6 +18,9 @@ from jaxmocap.geometry.origin import local_origin
 
 # A report's arrays with a row for each sample.
 SAMPLED = ("marker_errors", "arm_costs", "swivels", "landmarks_std", "from_prior")
+# A landmark whose standard deviation over the three axes is larger, metres, is stated as one that
+# nothing determines.
+UNDETERMINED_M = 0.15
 # Poses in one call of a function over a motion, at least and at most.
 FEWEST, MOST = 64, 16384
 
@@ -56,7 +59,17 @@ class Report:
     @property
     def elbow_deviations(self) -> np.ndarray:
         """(T, 2) standard deviations of left and right elbow, over the three axes, metres."""
-        return np.sqrt(np.sum(np.asarray(self.landmarks_std, float)[:, ELBOWS] ** 2, -1))
+        return self.deviations[:, ELBOWS]
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """(T, L) standard deviations of the ``LANDMARKS``, over the three axes, metres."""
+        return np.sqrt(np.sum(np.asarray(self.landmarks_std, float) ** 2, -1))
+
+    @property
+    def undetermined(self) -> np.ndarray:
+        """(T, L) whether a landmark is not determined within ``UNDETERMINED_M``."""
+        return self.deviations > UNDETERMINED_M
 
 
 @dataclass(frozen=True)
@@ -96,6 +109,13 @@ class Motion:
         """Landmark name -> (T, 3) positions, world, Z up, metres."""
         points = _moved(landmarks_over_time(self.skeleton, self.poses), self.origin_world)
         return {name: points[:, i] for i, name in enumerate(LANDMARKS)}
+
+    def deviations(self) -> dict[str, np.ndarray] | None:
+        """Landmark name -> (T, 3) standard deviations, world, metres; None without a report."""
+        if self.report is None:
+            return None
+        stated = np.asarray(self.report.landmarks_std, float)
+        return {name: stated[:, i] for i, name in enumerate(LANDMARKS)}
 
 
 def every_nth(motion: Motion, n: int) -> Motion:

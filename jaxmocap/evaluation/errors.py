@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxmocap.evaluation.interval_coverage import interval_coverage
 from jaxmocap.evaluation.series import high_pass, match, second_difference
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list
@@ -20,7 +21,12 @@ from jaxmocap.formats.time_series.tables import Markers
 # Vertical axis of a file -> which of its axes are the world's x, y, z.
 TO_WORLD = {"z": [0, 1, 2], "y": [2, 0, 1]}
 # Statistic -> its unit, as the end of its key in JSON; metres where it is not here.
-_UNITS = {"samples": "", "jitter": "_m_s2"}
+_UNITS = {
+    "samples": "",
+    "jitter": "_m_s2",
+    "within_90": "_share",
+    "error_over_stated": "",
+}
 
 
 @dataclass(frozen=True)
@@ -32,11 +38,14 @@ class Errors:
         times: (N,) seconds.
         offsets: (N, J, 3) tracked minus reference position, world, metres; NaN where either is
             missing.
+        deviations: (N, J, 3) standard deviations of the tracked joints, world, metres; NaN where
+            none is stated; None where the tracked joints come without any.
     """
 
     joints: tuple[str, ...]
     times: np.ndarray
     offsets: np.ndarray
+    deviations: np.ndarray | None = None
 
     @property
     def distances(self) -> np.ndarray:
@@ -70,6 +79,21 @@ class Errors:
             "rms": np.sqrt(_per_joint(np.mean, distances**2)),
             "high_pass_rms": np.sqrt(_per_joint(np.mean, self.high_passed**2)),
             "jitter": self.jitter,
+        } | self._reliability()
+
+    def _reliability(self) -> dict[str, np.ndarray]:
+        """What was stated beside what was found, where any deviation was."""
+        if self.deviations is None or not np.isfinite(self.deviations).any():
+            return {}
+        joints = range(len(self.joints))
+        each = [(self.offsets[:, j].ravel(), self.deviations[:, j].ravel()) for j in joints]
+        held = [interval_coverage(np.zeros(off.size), off, stated) for off, stated in each]
+        with np.errstate(divide="ignore"):
+            ratios = 1 / np.array([float(each.ratio) for each in held])
+        return {
+            "stated": _per_joint(np.median, np.linalg.norm(self.deviations, axis=-1)),
+            "within_90": np.array([float(each.share) for each in held]),
+            "error_over_stated": ratios,
         }
 
     @property
@@ -115,6 +139,7 @@ def position_errors(
     pairs: Mapping[str, str],
     tolerance: float | None = None,
     sources: tuple[str | Path, str | Path] = ("tracked joints", "reference"),
+    deviations: Mapping[str, np.ndarray] | None = None,
 ) -> Errors:
     """Errors of tracked joints against a reference's markers, matched by time stamp.
 
@@ -126,6 +151,7 @@ def position_errors(
         pairs: joint name -> the name of its marker in the reference.
         tolerance: see ``match``.
         sources: names of the two in messages.
+        deviations: joint -> (T, 3) standard deviations of the tracked joints, metres.
 
     Raises:
         InputError: an unknown joint or marker, no pair, or no common time.
@@ -144,7 +170,10 @@ def position_errors(
         np.asarray(joints[joint], float)[a] - np.asarray(truth[marker], float)[b]
         for joint, marker in pairs.items()
     ]
-    return Errors(tuple(pairs), np.asarray(times, float)[a], np.stack(offsets, 1))
+    stated = None
+    if deviations is not None:
+        stated = np.stack([np.asarray(deviations[joint], float)[a] for joint in pairs], 1)
+    return Errors(tuple(pairs), np.asarray(times, float)[a], np.stack(offsets, 1), stated)
 
 
 def _require(name: str, points: Mapping[str, np.ndarray], kind: str, source: str | Path) -> None:
@@ -193,8 +222,10 @@ def evaluate_directory(
         ValueError: another ``up``.
     """
     path = Path(directory) / "motion.npz"
+    deviations = None
     if path.is_file():
         motion = load_motion(path)
+        deviations = motion.deviations()
         joints = motion.joints()
         tracked = Markers(motion.times, tuple(joints), np.stack(list(joints.values()), 1))
     else:
@@ -209,4 +240,6 @@ def evaluate_directory(
             problem = f"no joint of the same name; state --match: found {found}, ours are {ours}"
             raise InputError(truth_path, problem)
     times, both = truth.times + offset, (path, truth_path)
-    return position_errors(tracked.times, tracked.points(), times, truth_world, pairs, sources=both)
+    return position_errors(
+        tracked.times, tracked.points(), times, truth_world, pairs, None, both, deviations
+    )

@@ -44,4 +44,5 @@ def evaluate(
         points_z_up(markers, up or ("z" if in_memory else default_up(truth))),
         pairs,
         sources=("motion", "reference" if in_memory else truth),
+        deviations=motion.deviations(),
     )

@@ -5,20 +5,23 @@ INPUTS: times (seconds) and errors (metres). OUTPUTS: a picture file, by its suf
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass
-from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.writing import check_target, replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from jaxmocap.evaluation.errors import Errors
 
+# Kinds of picture, by their suffix.
+PICTURES = (".png", ".svg", ".pdf")
 # Styles of the lines.
 MARKERS_ONLY = {"color": "#c62828", "linestyle": "-", "linewidth": 1.4}
 WITH_VIDEO = {"color": "#1557b0", "linestyle": "--", "linewidth": 1.4}
@@ -131,6 +134,13 @@ def new_panels(
         panel.spines[["top", "right"]].set_visible(False)
         panel.margins(x=0)
     return figure, axes
+
+
+def check_picture(path: str | Path, inputs: Iterable[str | Path] = ()) -> None:
+    """InputError where no picture can be written there, or a file that is read lies there."""
+    suffix = check_target(path, inputs).suffix.lower()
+    if suffix not in PICTURES:
+        raise InputError(path, f"found {suffix!r}, expected {', '.join(PICTURES)}")
 
 
 def save_figure(figure: Figure, path: str | Path, title: str) -> None:

@@ -15,6 +15,12 @@ COLUMNS = {
     "high_pass_rms_m": ("> 0.3 Hz", "cm", 100, 2),
     "jitter_m_s2": ("jitter", "m/s²", 1, 1),
 }
+# The same where deviations were stated.
+STATED_COLUMNS = {
+    "stated_m": ("stated", "± cm", 100, 2),
+    "within_90_share": ("in 90 %", "%", 100, 0),
+    "error_over_stated": ("error / ±", "", 1, 2),
+}
 
 
 def format_table(errors: Errors, before: Errors | None = None) -> str:
@@ -24,12 +30,14 @@ def format_table(errors: Errors, before: Errors | None = None) -> str:
         errors: what to show.
         before: with it, two more columns: the mean error before, and by how much it fell.
     """
+    is_stated = "stated_m" in errors.as_dict()["mean_over_joints"]
+    columns = COLUMNS | (STATED_COLUMNS if is_stated else {})
     rows = [
-        ["joint", *(heading for heading, *_ in COLUMNS.values())],
-        ["", *(unit for _, unit, *_ in COLUMNS.values())],
+        ["joint", *(heading for heading, *_ in columns.values())],
+        ["", *(unit for _, unit, *_ in columns.values())],
     ]
     for name, figures in _by_row(errors).items():
-        cells = (_number(figures[key], *how) for key, (_, _, *how) in COLUMNS.items())
+        cells = (_number(figures[key], *how) for key, (_, _, *how) in columns.items())
         rows.append([name, *cells])
     if before is not None:
         rows[0] += ["before", "improved"]

@@ -14,7 +14,7 @@ import numpy as np
 from av.container import OutputContainer
 from av.video.stream import VideoStream
 
-from jaxmocap.body.motion import Motion
+from jaxmocap.body.motion import UNDETERMINED_M, Motion
 from jaxmocap.formats.cameras.video_out import replacing_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.cameras import Camera
@@ -150,8 +150,10 @@ class OverlayArtist:
         deviations = (np.nan, np.nan) if report is None else report.elbow_deviations[sample]
         lines = []
         for side, name, value in zip("lr", ("left", "right"), deviations, strict=True):
-            known = f" +/- {100 * value:.0f} cm" if np.isfinite(value) else ""
-            lines.append((f"{name} elbow{known}", OUTLINE_COLOURS[side]))
+            stated = f" +/- {100 * value:.0f} cm" if np.isfinite(value) else ""
+            if value > UNDETERMINED_M:
+                stated = f" > {100 * UNDETERMINED_M:.0f} cm"
+            lines.append((f"{name} elbow{stated}", OUTLINE_COLOURS[side]))
         if np.isfinite(deviations).any():
             lines.append((f"ellipses: {SIGMAS:.0f} std. dev.", ELLIPSE_COLOUR))
         return [*lines, *([("+ marker", TARGET_COLOUR)] if self.targets else [])]

@@ -115,12 +115,14 @@ def _summarise_report(times: np.ndarray, report: Report) -> dict:
 
 
 def _by_landmark(report: Report) -> dict:
-    """Landmark -> standard deviation over the three axes, share of samples from the prior alone."""
-    deviations = np.sqrt(np.sum(np.asarray(report.landmarks_std, float) ** 2, -1))
+    """Landmark -> standard deviation over the three axes; shares of samples."""
+    deviations = report.deviations
+    undetermined = np.where(np.isfinite(deviations), report.undetermined, np.nan)
     return {
         name: {
             "deviation_m": statistics(deviations[:, i], {"median": 50, "p95": 95}),
             "from_prior_share": statistics(report.from_prior[:, i], {})["mean"],
+            "undetermined_share": statistics(undetermined[:, i], {})["mean"],
         }
         for i, name in enumerate(LANDMARKS)
     }

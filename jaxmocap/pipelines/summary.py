@@ -9,9 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.motion import UNDETERMINED_M, Motion, Report
+from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.formats.files.writing import write_text
 from jaxmocap.outputs.report import misfit, plain, summarise
+
+# A landmark that is not determined in fewer of the samples is not listed.
+LEAST_SHARE = 0.05
 
 
 def frames_per_second(report: Report) -> float:
@@ -71,6 +75,11 @@ def _figures(report: Report) -> list[tuple[str, str]]:
     if len(report.markers) and np.isfinite(deviations).any():
         left, right = 100 * np.nanmedian(deviations, 0)
         rows.append(("elbows", f"left ± {left:.1f} cm, right ± {right:.1f} cm (median)"))
+    shares = zip(LANDMARKS, report.undetermined.mean(0), strict=True)
+    unsure = [f"{name} {share:.0%}" for name, share in shares if share >= LEAST_SHARE]
+    if unsure:
+        within = f"not determined within {100 * UNDETERMINED_M:.0f} cm"
+        rows.append(("unsure", f"{within}: {', '.join(unsure)} of the samples"))
     return rows
 
 

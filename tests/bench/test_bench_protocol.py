@@ -180,10 +180,16 @@ class Moved:
 
     times: np.ndarray
     points: dict[str, np.ndarray]
-    report: object
+    report: "Deviations | None"
 
     def joints(self) -> dict[str, np.ndarray]:
         return self.points
+
+    def deviations(self) -> dict[str, np.ndarray] | None:
+        if self.report is None:
+            return None
+        stated = self.report.landmarks_std
+        return {name: stated[:, i] for i, name in enumerate(LANDMARKS)}
 
 
 @dataclass
@@ -208,4 +214,4 @@ def test_deviations_are_paired_with_their_landmark_and_time(tmp_path):
     assert actual.deviations[0, 0, 0] == pytest.approx(30 + 0.001 * LANDMARKS.index("elbow_r"))
     assert actual.deviations[5, 1, 2] == pytest.approx(35 + 0.001 * LANDMARKS.index("head"))
     assert np.flatnonzero(actual.from_prior[:, 1]).tolist() == [10]
-    assert sureness_of(Moved(TIMES, points, object()), clip) is None
+    assert sureness_of(Moved(TIMES, points, None), clip) is None

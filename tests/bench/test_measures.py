@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.acceleration import compare_tracks, lag, resampled_by_spline
-from bench.interval_coverage import interval_coverage
 from bench.wrong_turns import wrong_turns
+from jaxmocap.evaluation.interval_coverage import interval_coverage
 from jaxmocap.evaluation.series import second_difference
 
 TIMES = np.arange(540) / 90

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,13 @@ from hypothesis import strategies as st
 
 from jaxmocap.evaluation.errors import Errors, evaluate_directory, position_errors
 from jaxmocap.evaluation.plots import plot_elbow_errors
+from jaxmocap.evaluation.reliability import (
+    by_joint,
+    plot_reliability,
+    reliability_curve,
+    risk_curve,
+    stated_and_found,
+)
 from jaxmocap.evaluation.series import high_pass, match
 from jaxmocap.evaluation.tables import format_table
 from jaxmocap.formats.files.errors import InputError
@@ -213,6 +221,45 @@ def test_the_table_has_a_row_per_joint_and_one_for_their_mean():
 def test_the_table_leaves_a_dash_where_there_is_no_figure():
     table = format_table(shifted_by(np.full(3, np.nan)))
     assert table.splitlines()[2].split() == ["elbow_l", "0", "-", "-", "-", "-", "-", "-"]
+
+
+def scattered(stated: float, times_too_sure: float = 1.0) -> Errors:
+    """Errors of a joint that are those stated, or so many times larger, from sample to sample."""
+    rng = np.random.default_rng(0)
+    deviations = stated * rng.uniform(0.5, 2.0, (4000, 1, 1)) * np.ones(3)
+    offsets = times_too_sure * rng.normal(scale=deviations)
+    return Errors(("elbow_l",), np.arange(4000) / 60, offsets, deviations)
+
+
+def test_right_deviations_hold_nine_tenths_and_too_small_ones_fewer():
+    figures = scattered(0.04).as_dict()["joints"]["elbow_l"]
+    assert figures["within_90_share"] == pytest.approx(0.9, abs=0.01)
+    assert figures["stated_m"] == pytest.approx(0.05 * np.sqrt(3), rel=0.05)
+    surely = scattered(0.04, 3.0).as_dict()["joints"]["elbow_l"]
+    assert surely["within_90_share"] < 0.5
+    assert surely["error_over_stated"] == pytest.approx(3 * figures["error_over_stated"])
+
+
+def test_the_table_states_deviations_only_where_there_are_some():
+    assert "in 90 %" in format_table(scattered(0.04))
+    assert "in 90 %" not in format_table(replace(scattered(0.04), deviations=None))
+
+
+def test_groups_of_right_deviations_lie_on_the_line_and_the_surest_err_least():
+    stated, found = stated_and_found(scattered(0.04))
+    x, y = reliability_curve(stated, found)
+    np.testing.assert_allclose(y, x, rtol=0.1)
+    share, error = risk_curve(stated, found)
+    assert share[-1] == 1 and error[-1] == pytest.approx(found.mean())
+    assert error[len(error) // 4] < 0.7 * error[-1]
+
+
+def test_the_reliability_plot_is_a_picture_and_wants_deviations(tmp_path):
+    plot_reliability(tmp_path / "plot.png", by_joint(scattered(0.04)))
+    picture = cv2.imread(str(tmp_path / "plot.png"))
+    assert picture is not None and (picture != 255).any()
+    with pytest.raises(ValueError, match="nothing states how sure"):
+        plot_reliability(tmp_path / "none.png", {"run": replace(scattered(0.04), deviations=None)})
 
 
 def test_the_plot_of_errors_shows_both_curves_in_their_colours(tmp_path):

@@ -92,13 +92,20 @@ def test_a_frame_of_vmc_is_what_its_receivers_ask_for():
     assert messages[-3].params == ["root", 0, 0, 0, 0, 0, 0, 1]
     tags = [m.dgram[len(m.address) :].strip(b"\0").split(b"\0")[0] for m in messages[-3:]]
     assert tags == [b",sfffffff", b",iiii", b",f"]
-    names = {m.params[0] for m in messages[:-3]}
+    assert messages[-4].address == "/jaxmocap/Elbows" and messages[-4].params == [-1, -1]
+    names = {m.params[0] for m in messages[:-4]}
     sides = ("Shoulder", "UpperArm", "LowerArm", "Hand", "UpperLeg", "LowerLeg", "Foot")
     assert names == {
         *("Hips", "Spine", "Chest", "UpperChest", "Neck", "Head"),
         *(f"{side}{bone}" for side in ("Left", "Right") for bone in sides),
     }
     assert [m.params for m in messages_of(vmc.lost(3.0))] == [[1, 3, 0, 0], [3.0]]
+
+
+def test_vmc_states_how_sure_the_elbows_are():
+    deviations = np.array([0.25, np.nan])
+    messages = messages_of(VMC(VmcTable(), BODY).frame(0.0, BODY.local(t_pose()), deviations))
+    assert [m.params for m in messages if m.address == "/jaxmocap/Elbows"] == [[0.25, -1]]
 
 
 def test_a_bundle_is_filled_without_changing_its_texts():

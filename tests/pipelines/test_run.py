@@ -301,7 +301,7 @@ def test_sentences_about_samples_and_video_times():
     assert np.flatnonzero(~warnings.without_video(times, video)).tolist() == [1, 2, 3, 4, 5]
     causal = warnings.without_video(times, video, causal=True)
     assert np.flatnonzero(~causal).tolist() == [2, 3, 4, 5]
-    unsure = ["right elbow: uncertain by more than 10 cm"]
+    unsure = ["right elbow: not determined within 15 cm"]
     assert list(warnings.of_elbows(np.array([0.02, 0.2]))) == unsure
 
 

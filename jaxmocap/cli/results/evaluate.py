@@ -6,7 +6,7 @@ INPUTS: a folder that ``track`` wrote, a reference's file. OUTPUTS: errors of ea
 import argparse
 
 from jaxmocap.cli.command import Command, finite_number, pair
-from jaxmocap.cli.reporting import report
+from jaxmocap.cli.reporting import files_read, report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
@@ -29,15 +29,33 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         default=0.0,
         help="add to the reference's times",
     )
+    parser.add_argument(
+        "--out",
+        metavar="PICTURE",
+        help="errors beside the deviations that were stated (.png, .svg, .pdf)",
+    )
 
 
 def _run(options: argparse.Namespace) -> None:
     from jaxmocap.evaluation.errors import evaluate_directory
+    from jaxmocap.evaluation.plots import check_picture
+    from jaxmocap.evaluation.reliability import by_joint, plot_reliability
     from jaxmocap.evaluation.tables import format_table
+    from jaxmocap.formats.files.errors import InputError
 
+    if options.out:
+        check_picture(options.out, files_read(options))
     pairs = None if options.match is None else dict(options.match)
     errors = evaluate_directory(options.directory, options.truth, pairs, options.up, options.offset)
-    report(options, format_table(errors), errors.as_dict())
+    lines, files = [format_table(errors)], []
+    if options.out:
+        try:
+            plot_reliability(options.out, by_joint(errors))
+        except ValueError as error:
+            raise InputError(options.directory, str(error)) from None
+        files.append(options.out)
+        lines += ["", f"written  {options.out}"]
+    report(options, "\n".join(lines), errors.as_dict() | {"files": files})
 
 
 COMMAND = Command(

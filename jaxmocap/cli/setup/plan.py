@@ -12,7 +12,6 @@ from jaxmocap.cli.reporting import files_read, report
 
 MOVEMENTS = ("tennis", "thrust", "reaching", "across", "raises", "squat")
 MOST_CAMERAS = 4
-PICTURES = (".png", ".svg", ".pdf")
 PLAN_TEXT = """\
 Which place of a camera makes the joints surest, by gradient, and what it would be worth: the
 deviation that a report would state. With a recording its markers show the movement, and its cameras
@@ -75,8 +74,8 @@ def _fields_of_view(text: str) -> tuple[float, ...]:
 
 def _run(options: argparse.Namespace) -> None:
     from jaxmocap.evaluation.floor_plan import plot_floor_plan
+    from jaxmocap.evaluation.plots import check_picture
     from jaxmocap.formats.files.errors import InputError
-    from jaxmocap.formats.files.writing import check_target
     from jaxmocap.formats.recordings.recording import load_recording
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.planning.plan import plan_cameras
@@ -88,9 +87,7 @@ def _run(options: argparse.Namespace) -> None:
         if options.recording and getattr(options, name) is not None:
             raise InputError(f"--{name}", "is for a drawn movement, and a recording was given")
     if options.out:
-        suffix = check_target(options.out, files_read(options)).suffix.lower()
-        if suffix not in PICTURES:
-            raise InputError(options.out, f"found {suffix!r}, expected {', '.join(PICTURES)}")
+        check_picture(options.out, files_read(options))
     keep_compiled()
     wishes = Wishes(
         tuple(options.joints), options.cameras, options.room, options.heights, options.fov,

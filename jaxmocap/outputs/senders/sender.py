@@ -10,17 +10,30 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from jaxmocap.formats.files.addresses import Address, read_address
 from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.outputs.senders.unity import Joints, UnityBody
+
+# Where nothing states how sure the elbows are.
+UNSTATED = np.full(2, np.nan)
 
 
 class Sender(ABC):
     """Makes datagrams of one person's poses."""
 
     @abstractmethod
-    def frame(self, time: float, local: Joints) -> Sequence[bytes]:
-        """Those of a pose, seconds since the run began, by its joints in their parents."""
+    def frame(
+        self, time: float, local: Joints, deviations: np.ndarray = UNSTATED
+    ) -> Sequence[bytes]:
+        """Those of a pose.
+
+        Args:
+            time: seconds since the run began.
+            local: its joints in their parents.
+            deviations: (2,) standard deviations of left and right elbow, metres; NaN unstated.
+        """
 
     def lost(self, time: float) -> Sequence[bytes]:
         """Those for a moment at which nobody is tracked."""

@@ -1,6 +1,7 @@
 """Poses as the Virtual Motion Capture protocol has them: one or two bundles a frame.
 
     /VMC/Ext/Bone/Pos for each bone its name in Unity, position and rotation in its parent
+    /jaxmocap/Elbows  standard deviations of left and right elbow, metres; receivers ignore it
     /VMC/Ext/Root/Pos where the model's root lies: at the world's origin
     /VMC/Ext/OK       loaded, calibrated, mode, whether the person is tracked
     /VMC/Ext/T        seconds; the last of a frame
@@ -21,13 +22,15 @@ import numpy as np
 from jaxmocap.formats.armatures.joint_names import CONVENTIONS
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.outputs.senders.osc import Bundle
-from jaxmocap.outputs.senders.sender import Sender, SenderTable
+from jaxmocap.outputs.senders.sender import UNSTATED, Sender, SenderTable
 from jaxmocap.outputs.senders.unity import Joints, UnityBody
 
 # The port of its receivers.
 DEFAULT_SEND = Address(port=39539)
 # First values of /VMC/Ext/OK: the model is loaded, it is calibrated, the mode is the normal one.
 _READY = [1, 3, 0]
+# How sure the elbows are; -1 where nothing states it.
+ELBOWS_ADDRESS = "/jaxmocap/Elbows"
 # Bones in one bundle: more would not fit into 1200 bytes, and networks cut longer datagrams up.
 BONES_IN_BUNDLE = 13
 # No translation, no rotation (xyzw).
@@ -45,6 +48,7 @@ class VMC(Sender):
         bones = [("/VMC/Ext/Bone/Pos", place) for place in places]
         self._starts = range(0, len(bones), BONES_IN_BUNDLE)
         status = [
+            (ELBOWS_ADDRESS, [0.0, 0.0]),
             ("/VMC/Ext/Root/Pos", ["root", *_IDENTITY]),
             ("/VMC/Ext/OK", [*_READY, 1]),
             ("/VMC/Ext/T", [0.0]),
@@ -55,11 +59,12 @@ class VMC(Sender):
         ]
         self._lost = Bundle([("/VMC/Ext/OK", [*_READY, 0]), ("/VMC/Ext/T", [0.0])])
 
-    def frame(self, time: float, local: Joints) -> list[bytes]:
-        """The bundles of a pose."""
+    def frame(self, time: float, local: Joints, deviations: np.ndarray = UNSTATED) -> list[bytes]:
+        """The bundles of a pose; elbows whose deviations nothing states have -1."""
         bones = np.hstack([local.positions, local.quaternions])
         parts: list[list] = [[bones[start : start + BONES_IN_BUNDLE]] for start in self._starts]
-        parts[-1] += [np.array(_IDENTITY), time]
+        stated = np.where(np.isfinite(deviations), deviations, -1.0)
+        parts[-1] += [stated, np.array(_IDENTITY), time]
         return [bundle.filled(*part) for bundle, part in zip(self._tracked, parts, strict=True)]
 
     def lost(self, time: float) -> list[bytes]:

@@ -15,7 +15,7 @@ from jaxmocap.formats.files.addresses import Address, read_address
 from jaxmocap.formats.files.short_repr import short_repr
 from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.outputs.senders.osc import Bundle
-from jaxmocap.outputs.senders.sender import Sender, SenderTable
+from jaxmocap.outputs.senders.sender import UNSTATED, Sender, SenderTable
 from jaxmocap.outputs.senders.unity import Joints, UnityBody, euler_degrees
 
 DEFAULT_SEND = Address(port=9000)
@@ -54,8 +54,8 @@ class Trackers(Sender):
             ]
         )
 
-    def frame(self, time: float, local: Joints) -> list[bytes]:
-        """The bundle of a pose's joints in their parents."""
+    def frame(self, time: float, local: Joints, deviations: np.ndarray = UNSTATED) -> list[bytes]:
+        """The bundle of a pose's joints in their parents; VRChat takes no deviations."""
         world = self._body.in_world(local)
         degrees = euler_degrees(world.quaternions[self._rotation_joints])
         return [self._bundle.filled(np.hstack([world.positions[self._position_joints], degrees]))]

@@ -202,7 +202,7 @@ class Live:
     def _send(self, output: Output) -> None:
         local = self._body.local(output.pose)
         for sender, to in self._senders:
-            to.send(sender.frame(output.time, local))
+            to.send(sender.frame(output.time, local, output.deviations))
         now = self._now()
         self.status.count_output(now, now - output.arrived)
         self._deviations = output.deviations

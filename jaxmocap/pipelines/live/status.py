@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
+from jaxmocap.body.motion import UNDETERMINED_M
 from jaxmocap.capture.streams.senders import TokenBucket
 from jaxmocap.formats.files.errors import printable, shortened
 from jaxmocap.formats.files.short_repr import short_name
@@ -187,7 +188,10 @@ class LiveStatus:
 
 
 def _plus_minus(deviation: float) -> str:
-    return f"± {100 * deviation:.0f} cm" if np.isfinite(deviation) else "by markers alone"
+    if not np.isfinite(deviation):
+        return "by markers alone"
+    undetermined = " (not determined)" if deviation > UNDETERMINED_M else ""
+    return f"± {100 * deviation:.0f} cm{undetermined}"
 
 
 def _age(age: float | None) -> str:

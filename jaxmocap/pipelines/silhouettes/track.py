@@ -15,7 +15,7 @@ import numpy as np
 from jaxmocap.body.model import marker_sites
 from jaxmocap.body.motion import Motion, Report, landmarks_over_time
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.surfaces.parts import determined_landmarks, moved_bones
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
@@ -30,6 +30,7 @@ from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.silhouettes.keypoints import KeypointGuide, keypoint_guide
 from jaxmocap.pipelines.silhouettes.lost_person import LOST, keypoint_distances, lost_status
+from jaxmocap.pipelines.tracking.warnings import of_elbows
 from jaxmocap.silhouette.passes import FrameBundle, PassResult, PassSettings, run_passes
 from jaxmocap.silhouette.segmentation.background_models import background_of_picture
 from jaxmocap.silhouette.settings import Settings
@@ -39,6 +40,12 @@ from jaxmocap.silhouette.tracker import SilhouetteTracker
 # A photographed surface's deviations by a generic one's: what was photographed needs less
 # correction than what was guessed.
 PHOTOGRAPHED_SHARE = 0.5
+
+# The people on whose recordings the factors of the deviations were chosen.
+CALIBRATED_ON = (
+    "four rendered people (woman, broad man, slim woman, tall man) and a real person before four "
+    "cameras; shown on two other rendered people"
+)
 
 
 class Masks(NamedTuple):
@@ -194,6 +201,7 @@ def track_silhouettes(
         "recording": recording.path or recording.name,
         "cameras": names,
         "markers": recording.marker_names if markers else (),
+        "deviations": {"calibrated_on": CALIBRATED_ON},
         "warnings": (*warnings_before, *warnings, *at_rest),
         "tracker": constants.settings,
     }
@@ -282,6 +290,8 @@ def _report(
     # Nobody knows how far off a person is who is lost.
     lost = [any(status.startswith(LOST) for status in each) for each in statuses]
     deviations = np.where(np.array(lost)[:, None, None], np.nan, deviations)
+    unsure = map(of_elbows, np.linalg.norm(deviations[:, ELBOWS], axis=-1))
+    statuses = tuple((*own, *more) for own, more in zip(statuses, unsure, strict=True))
     milliseconds = {"frame": np.array(result.milliseconds)}
     return Report(
         (), np.zeros((count, 0)), none, none, deviations, np.full(deviations.shape[:2], np.nan),

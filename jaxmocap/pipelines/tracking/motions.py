@@ -142,9 +142,8 @@ def _warnings(
     """Of each sample, by its elbows' deviations (T, 2), metres, too."""
     before = (("no marker has been measured yet",),) * events.before
     listed = list(events.sample_warnings(first_pass.warnings))
-    if events.without_video:
-        unsure = map(warnings.of_elbows, elbow_deviations[len(before) :])
-        listed = [(*own, *more) for own, more in zip(listed, unsure, strict=True)]
+    unsure = map(warnings.of_elbows, elbow_deviations[len(before) :])
+    listed = [(*own, *more) for own, more in zip(listed, unsure, strict=True)]
     return before + tuple(listed)
 
 

@@ -44,6 +44,13 @@ from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, DELAY_S, FixedLagSmoother
 from jaxmocap.smoothing.markers_alone import smooth_markers
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
 
+# Run -> the people on whose recordings the factors of its deviations were chosen.
+CALIBRATED_ON = {
+    "video": "rendered table-tennis players and fencers, and a real person before four cameras",
+    "causal": "five rendered table-tennis players, five fencers, a real person before four cameras",
+    "markers": "six real people who walk, by their joints in Plug-in Gait",
+}
+
 
 def track(
     recording: Recording,
@@ -146,6 +153,7 @@ def track_both(
         "filters": opened.cleaning.figures(),
         "tracker": tracker.settings,
         "camera_turns_deg": dict(zip(cameras, turns, strict=False)),
+        "deviations": {"calibrated_on": _calibrated_on(tracker.settings.smooth, used, causal)},
         "latency": {"video frames": DELAY_FRAMES, "seconds": DELAY_S} if smoother else {},
         "video_frames": int((events.timeline.frame_index >= 0).any(-1).sum()) if used else 0,
         "seconds": {"first pass": passed - began, "second pass": perf_counter() - passed},
@@ -230,6 +238,13 @@ def _low_passed(
     for part, new in zip(poses, filtered, strict=True):
         part[rows] = new
     return poses
+
+
+def _calibrated_on(smooth: bool, videos: Sequence[FrameSource], causal: bool) -> str | None:
+    """On whose recordings the factors of the deviations were chosen; None where there are none."""
+    if not smooth:
+        return None
+    return CALIBRATED_ON["markers" if not videos else "causal" if causal else "video"]
 
 
 def make_tracker(recording: Recording, settings: Settings | None = None) -> HybridTracker:

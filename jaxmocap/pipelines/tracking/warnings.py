@@ -9,13 +9,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from jaxmocap.body.motion import UNDETERMINED_M
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.solvers.status import SENTENCES, Status
 
 SIDES = ("left", "right")
-# With a larger standard deviation an elbow is little more than the markers' guess, metres.
-UNSURE_M = 0.1
 # An image whose brightness varies by less (of 255) shows nothing.
 BLANK_RANGE = 12
 # A frame further away than this many of its video's intervals is not near.
@@ -51,10 +50,10 @@ def of_images(
 
 
 def of_elbows(deviations: np.ndarray) -> Iterator[str]:
-    """Which of the two elbows the video leaves open, by their deviations (2,), metres."""
+    """Which of the two elbows nothing determines, by their deviations (2,), metres."""
     for side, value in zip(SIDES, deviations, strict=True):
-        if value > UNSURE_M:
-            yield f"{side} elbow: uncertain by more than {100 * UNSURE_M:.0f} cm"
+        if value > UNDETERMINED_M:
+            yield f"{side} elbow: not determined within {100 * UNDETERMINED_M:.0f} cm"
 
 
 def without_video(times: np.ndarray, video_times: np.ndarray, causal: bool = False) -> np.ndarray:
