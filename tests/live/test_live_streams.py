@@ -133,6 +133,24 @@ def test_a_camera_on_the_web_is_read(tmp_path, name, kind, codec):
         assert len(list(stream_frames(f"{address}/{name}", False, MOST))) >= 20
 
 
+def test_a_camera_is_read_where_the_system_allows_no_larger_pipe(tmp_path, monkeypatch):
+    """As beyond fs.pipe-max-size, or once a user's pipes together hold what they may."""
+    fcntl = pytest.importorskip("fcntl", reason="this system has no pipes of another size")
+    asked, actual = [], fcntl.fcntl
+
+    def limited(file, what, *value):
+        if what == getattr(fcntl, "F_SETPIPE_SZ", None):
+            asked.append(value)
+            raise PermissionError(1, "Operation not permitted")
+        return actual(file, what, *value)
+
+    monkeypatch.setattr(fcntl, "fcntl", limited)
+    (tmp_path / "a.ts").write_bytes(clip(tmp_path))
+    with web_server(tmp_path) as address:
+        assert len(list(stream_frames(f"{address}/a.ts", False, MOST))) >= 20
+    assert asked or not hasattr(fcntl, "F_SETPIPE_SZ")
+
+
 def test_a_playlist_which_leads_to_other_hosts_is_no_camera(tmp_path):
     (tmp_path / "a.ts").write_bytes(clip(tmp_path))
     (tmp_path / "a.m3u8").write_text("#EXTM3U\n#EXTINF:1,\na.ts\n#EXT-X-ENDLIST\n")

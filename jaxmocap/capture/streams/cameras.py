@@ -10,12 +10,12 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Generator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from time import monotonic
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from av.error import FFmpegError
@@ -187,11 +187,10 @@ def stream_frames(url: str, colour: bool, max_pixels: int) -> Images:
     # Each further thread of its libraries would take addresses.
     alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     nowhere = subprocess.DEVNULL
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=nowhere, env=alone, pipesize=PIPE_BYTES
-    ) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=nowhere, env=alone) as process:
         assert process.stdout is not None
         try:
+            _widen(process.stdout)
             while len(header := process.stdout.read(decoding.HEADER.size)) == decoding.HEADER.size:
                 height, width, channels = decoding.HEADER.unpack(header)
                 if not height:
@@ -206,6 +205,14 @@ def stream_frames(url: str, colour: bool, max_pixels: int) -> Images:
             raise InputError(short_repr(url), "the process that decodes it has ended")
         finally:
             process.kill()
+
+
+def _widen(pipe: IO[bytes]) -> None:
+    """Let a pipe hold ``PIPE_BYTES``; it stays as it is where the system does not let it."""
+    with suppress(ImportError, AttributeError, OSError):
+        import fcntl
+
+        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 
 
 def device_frames(device: int, size: list[int], colour: bool) -> Images:
