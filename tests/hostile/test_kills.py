@@ -1,6 +1,7 @@
 """Commands that are killed while they work: nothing is lost, broken or left behind.
 
-Run by name, some twenty minutes: pytest -m slow tests/hostile/test_kills.py -s
+Run by name, some twenty minutes: pytest -m slow tests/hostile/test_kills.py -s; or in parts, each
+of a few minutes: -k "silhouette and lot0".
 """
 
 import hashlib
@@ -28,9 +29,13 @@ from jaxmocap.synthetic.four_cameras import write_four_cameras
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.people.clothed_person import clothed_actor
 
-pytestmark = pytest.mark.slow
+# Of each command: so many lots of so many.
+LOTS, KILLS = 4, 10
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.parametrize("lot", range(LOTS), ids=lambda lot: f"lot{lot}"),
+]
 
-KILLS = 40
 # Every second kill comes within so many seconds after the first hidden file.
 WRITING_S = 1.5
 READERS = {".trc": read_trc, ".mot": read_mot, ".bvh": read_bvh, ".glb": read_gltf, ".mp4": Video}
@@ -103,14 +108,14 @@ def check(out: Path, earlier: set[str]) -> int:
     return hidden
 
 
-def rehearse(inputs: Path, out: Path, arguments: Sequence[object]) -> None:
+def rehearse(lot: int, inputs: Path, out: Path, arguments: Sequence[object]) -> None:
     """Run, kill, look, run again."""
     run(arguments)
     (out / "notes.txt").write_text("mine")
     earlier = {
         str(p.relative_to(out)) for p in out.rglob("*") if p.is_file() and p.name != LIST_NAME
     } - {"notes.txt"}
-    seconds, rng = run(arguments), np.random.default_rng(0)
+    seconds, rng = run(arguments), np.random.default_rng(lot)
     at_work = left = 0
     for number, share in enumerate(rng.uniform(0.0, 1.0, KILLS)):
         late = number % 2
@@ -128,22 +133,24 @@ def rehearse(inputs: Path, out: Path, arguments: Sequence[object]) -> None:
     assert at_work > KILLS // 2
 
 
-def test_track_is_killed(tmp_path):
+def test_track_is_killed(tmp_path, lot):
     (tmp_path / "in").mkdir()
     recording = write_small_recording(tmp_path / "in")
-    rehearse(tmp_path / "in", tmp_path / "out", ["track", recording, "--out", tmp_path / "out"])
+    rehearse(
+        lot, tmp_path / "in", tmp_path / "out", ["track", recording, "--out", tmp_path / "out"]
+    )
 
 
-def test_silhouette_track_is_killed(tmp_path):
+def test_silhouette_track_is_killed(tmp_path, lot):
     performer = clothed_actor(motions.squat(0.2, 0, 1.75), 0)
     recording = write_four_cameras(tmp_path / "in", performer, 0.2)
     arguments = ["silhouette", "track", recording, "--at", "0,0,0", "--once"]
-    rehearse(tmp_path / "in", tmp_path / "out", [*arguments, "--out", tmp_path / "out"])
+    rehearse(lot, tmp_path / "in", tmp_path / "out", [*arguments, "--out", tmp_path / "out"])
 
 
-def test_batch_is_killed(tmp_path):
+def test_batch_is_killed(tmp_path, lot):
     (tmp_path / "in/one").mkdir(parents=True)
     write_small_recording(tmp_path / "in/one")
     shutil.copytree(tmp_path / "in/one", tmp_path / "in/two")
     arguments = ["batch", tmp_path / "in", "--out", tmp_path / "out", "--workers", 2]
-    rehearse(tmp_path / "in", tmp_path / "out", [*arguments, "--refine", "none"])
+    rehearse(lot, tmp_path / "in", tmp_path / "out", [*arguments, "--refine", "none"])
