@@ -18,10 +18,12 @@ from jaxmocap.capture.checks.body_reach import max_marker_distances, standing_po
 from jaxmocap.capture.checks.cameras import check_recording, project_to_pixels
 from jaxmocap.capture.checks.lengths import check_stretched_arms
 from jaxmocap.capture.checks.markers import check_markers
+from jaxmocap.capture.filters import filter_markers
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.photographs import write_picture
 from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.filters import Filters
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc
@@ -315,6 +317,19 @@ def test_a_marker_out_of_reach_is_told(sound, share, fatal):
     text = f"in {rows.sum()} of {len(rows)} samples farther than"
     assert "[markers.on] RightController" in actual["reach"].sentence
     assert text in actual["reach"].sentence
+
+
+def test_a_head_that_jumps_is_told_with_the_filter_that_takes_it_out(sound):
+    """Every fiftieth sample has it 90 m away."""
+    spoilt = sound.positions_world.copy()
+    spoilt[24::50, 0, 1] += 90.0
+    jumping = replace(sound, positions_world=spoilt)
+    (found,) = check_recording(jumping, VIDEO_TIMES)
+    assert found.check == "reach" and not found.fatal
+    assert found.sentence.startswith("[markers.on] Headset: up to ")
+    assert found.sentence.endswith("; [markers.filters] hampel takes such outliers out")
+    filtered, _ = filter_markers(replace(jumping, filters=Filters(hampel=True)))
+    assert not check_recording(filtered, VIDEO_TIMES)
 
 
 def with_arms(stretch: float, spread: float = 1.0) -> Recording:

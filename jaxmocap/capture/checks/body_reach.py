@@ -1,17 +1,80 @@
 """How a body stands and how far it reaches, against which its markers are checked.
 
-INPUTS: a Skeleton and the places of markers on it.
+INPUTS: a Skeleton and the places of markers on it; samples of them.
 OUTPUTS: heights (M,) of the markers on somebody who stands, arms hanging; largest distances (M, M)
-between them in any pose; metres.
+between them in any pose; metres; which markers are farther from one another, and how often.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import bone_vectors, sole_and_vertex, standing_joints
 from jaxmocap.formats.recordings.recording import MarkerPlace
+
+# Limbs may be a tenth longer than a table says,
+REACH_MARGIN_SHARE = 1.1
+# and a marker may sit some centimetres off its bone, metres.
+REACH_MARGIN_M = 0.05
+# Distances that are in memory together.
+BLOCK_DISTANCES = 2**20
+
+
+class BeyondReach(NamedTuple):
+    """Two markers that are too far from one another.
+
+    Attributes:
+        marker: the one of them that is oftener too far from any.
+        other: the other.
+        samples: in how many they are.
+        farthest_m: how far, at most.
+        allowed_m: that this body reaches.
+    """
+
+    marker: int
+    other: int
+    samples: int
+    farthest_m: float
+    allowed_m: float
+
+
+class ReachCounts:
+    """Counts the samples in which markers are farther from one another than a body reaches."""
+
+    def __init__(self, skeleton: Skeleton, places: Sequence[MarkerPlace]):
+        """Of M markers at these places; no sample yet."""
+        distances = max_marker_distances(skeleton, places)
+        self._first, self._second = np.tril_indices(len(places), -1)
+        self._allowed = (REACH_MARGIN_SHARE * distances + REACH_MARGIN_M)[self._first, self._second]
+        self._counts, self._markers = np.zeros(len(self._first), int), len(places)
+        self._farthest = np.zeros(len(self._first))
+
+    def add(self, positions: np.ndarray) -> bool:
+        """Samples (T, M, 3), metres; NaN where missing. Returns whether any is beyond reach."""
+        before = self._counts.sum()
+        size = max(1, BLOCK_DISTANCES // max(len(self._first), 1))
+        for first in range(0, len(positions), size):
+            block = positions[first : first + size]
+            apart = np.linalg.norm(block[:, self._first] - block[:, self._second], axis=-1)
+            self._counts += (apart > self._allowed).sum(0)
+            self._farthest = np.fmax(self._farthest, np.fmax.reduce(apart, 0))
+        return bool(self._counts.sum() > before)
+
+    def worst(self) -> BeyondReach | None:
+        """The marker that is oftenest too far from others, and the one it is so most; or None."""
+        if not self._counts.any():
+            return None
+        of_marker = sum(
+            np.bincount(ends, self._counts, self._markers) for ends in (self._first, self._second)
+        )
+        marker = int(np.argmax(of_marker))
+        is_its = (self._first == marker) | (self._second == marker)
+        pair = int(np.where(is_its, self._counts, -1).argmax())
+        other = int(self._first[pair] + self._second[pair]) - marker
+        figures = self._farthest[pair], self._allowed[pair]
+        return BeyondReach(marker, other, int(self._counts[pair]), *map(float, figures))
 
 
 def standing_points(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.capture.checks import Finding
-from jaxmocap.capture.checks.body_reach import max_marker_distances, standing_points
+from jaxmocap.capture.checks.body_reach import ReachCounts, standing_points
 from jaxmocap.capture.checks.lengths import check_lengths
 from jaxmocap.capture.checks.sides import check_heights, check_sides
 from jaxmocap.capture.markers import median_interval
@@ -33,10 +33,9 @@ UNIT_FACTORS = {
 # A unit is named where it explains the span up to such a factor: people bend and raise arms.
 UNIT_TOLERANCE = 2.5
 STATURE_RANGE_M = (0.4, 2.6)
-# Limbs may be a tenth longer than a table says,
-REACH_MARGIN_SHARE = 1.1
-# and a marker may sit some centimetres off its bone, metres.
-REACH_MARGIN_M = 0.05
+# Beyond reach by such a factor, and as rarely, a marker is an outlier, not on another bone.
+OUTLIER_RATIO = 2.0
+MAX_OUTLIER_SHARE = 0.05
 # Marker rates outside are times in another unit than seconds, or the numbers of frames.
 RATE_RANGE_HZ = (2.0, 20_000.0)
 RATE_TOLERANCE = 0.02
@@ -211,26 +210,19 @@ def _check_up(recording: Recording) -> Iterator[Finding]:
 
 
 def _check_reach(recording: Recording) -> Iterator[Finding]:
-    names, positions = recording.marker_names, recording.positions_world
-    allowed = (
-        REACH_MARGIN_SHARE * max_marker_distances(recording.skeleton, recording.places)
-        + REACH_MARGIN_M
-    )
-    counts, worst = np.zeros(allowed.shape, int), np.zeros(allowed.shape)
-    for i in range(len(names)):
-        for j in range(i):
-            distances = np.linalg.norm(positions[:, i] - positions[:, j], axis=-1)
-            counts[i, j] = counts[j, i] = (distances > allowed[i, j]).sum()
-            worst[i, j] = worst[j, i] = np.nanmax(distances, initial=0.0)
-    marker = int(counts.sum(1).argmax())
-    other = int(counts[marker].argmax())
-    if not counts[marker, other]:
+    counts, total = ReachCounts(recording.skeleton, recording.places), len(recording.times)
+    counts.add(recording.positions_world)
+    if (worst := counts.worst()) is None:
         return
-    number, total = counts[marker, other], len(positions)
+    names = recording.marker_names
+    advice = "check its bone, or [subject]"
+    is_outlier = worst.farthest_m > OUTLIER_RATIO * worst.allowed_m
+    if is_outlier and worst.samples <= MAX_OUTLIER_SHARE * total:
+        advice = "[markers.filters] hampel takes such outliers out"
     yield Finding(
         "reach",
-        f"[markers.on] {names[marker]}: up to {worst[marker, other]:.2f} m from {names[other]}, in "
-        f"{number} of {total} samples farther than the {allowed[marker, other]:.2f} m that this "
-        "body reaches; check its bone, or [subject]",
-        fatal=bool(2 * number > total),
+        f"[markers.on] {names[worst.marker]}: up to {worst.farthest_m:.2f} m from "
+        f"{names[worst.other]}, in {worst.samples} of {total} samples farther than the "
+        f"{worst.allowed_m:.2f} m that this body reaches; {advice}",
+        fatal=2 * worst.samples > total,
     )

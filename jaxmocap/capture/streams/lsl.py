@@ -66,6 +66,11 @@ class MarkerStream(MarkerSource):
         """How often the sender's clock was set."""
         return self.clock.jumps
 
+    @property
+    def clock_rate(self) -> float | None:
+        """Seconds of the sender's clock in each of ours, where that is not about one."""
+        return self.clock.rate
+
     def packets_by_sender(self) -> dict[str, int]:
         """Sender -> packets that came in from there."""
         return {self._name: self.packets}

@@ -103,8 +103,14 @@ class PacketSenders:
     @property
     def clock_jumps(self) -> int:
         """How often a sender's clock was set."""
-        clocks = [sender.clock for sender in self._senders.values()]
+        clocks = [sender.clock for sender in list(self._senders.values())]
         return self._earlier_jumps + sum(clock.jumps for clock in clocks if clock)
+
+    @property
+    def clock_rate(self) -> float | None:
+        """Of the first sender whose clock runs too fast or too slowly; see ``StreamClock``."""
+        clocks = [sender.clock for sender in list(self._senders.values())]
+        return next((clock.rate for clock in clocks if clock and clock.rate is not None), None)
 
     def packets(self) -> dict[str, int]:
         """Sender -> packets that came in from there, of the present ones."""

@@ -75,6 +75,11 @@ class MarkerSource(Listener):
     def clock_jumps(self) -> int:
         """How often a sender's clock was set."""
 
+    @property
+    @abstractmethod
+    def clock_rate(self) -> float | None:
+        """Seconds of a sender's clock in each of ours, where it runs too fast or too slowly."""
+
     @abstractmethod
     def packets_by_sender(self) -> dict[str, int]:
         """Sender -> packets that came in from there."""

@@ -14,6 +14,13 @@ HELD_UP_S = 0.25
 MAX_DRIFT = 2e-4
 # Packets that come so much later were not sent together, seconds.
 SEPARATE_S = 0.005
+# How fast a clock runs is measured over so many seconds, so many times in a row;
+RATE_WINDOW_S = 2.0
+RATE_WINDOWS = 3
+# it is wrong by such a factor and more. No network's delay makes as much of a window.
+WRONG_RATE = 1.25
+# A clock that is as slow as that stands.
+SLOWEST_RATE = 0.01
 # Stamps beyond (seconds since 1900 are 4e9) are too coarse for a rhythm.
 LARGEST_STAMP_S = 1e10
 
@@ -23,10 +30,15 @@ class StreamClock:
 
     Attributes:
         jumps: how often its clock was set.
+        rate: its seconds in each of ours, where it runs too fast or too slowly; else None.
     """
 
     def __init__(self):
         self.jumps = 0
+        self.rate: float | None = None
+        # Stamp and arrival where a window began, and the rates of those before, all of them wrong.
+        self._window: tuple[float, float] | None = None
+        self._wrong_rates: list[float] = []
         self._offset: float | None = None
         self._stamp = self._arrival = 0.0
         self._late_since = math.inf
@@ -42,7 +54,12 @@ class StreamClock:
         """
         if stamp is None or not abs(stamp) <= LARGEST_STAMP_S:
             return arrival
+        self._measure_rate(arrival, stamp)
         offset = arrival - stamp
+        if self.rate is not None:
+            # Neither a rhythm nor a clock that was set.
+            self._offset = None
+            return arrival
         if self._offset is None:
             self._offset, self._stamp, self._arrival = offset, stamp, arrival
         late, stamp_step = offset - self._offset, stamp - self._stamp
@@ -59,3 +76,17 @@ class StreamClock:
             return arrival
         self._offset = min(offset, self._offset + MAX_DRIFT * max(stamp_step, 0.0))
         return min(stamp + self._offset, arrival)
+
+    def _measure_rate(self, arrival: float, stamp: float) -> None:
+        """Compare the clocks, window by window."""
+        if self._window is None:
+            self._window = stamp, arrival
+        if (elapsed := arrival - self._window[1]) < RATE_WINDOW_S:
+            return
+        rate = (stamp - self._window[0]) / elapsed
+        self._window = stamp, arrival
+        is_wrong = rate > WRONG_RATE or SLOWEST_RATE < rate < 1 / WRONG_RATE
+        wrong = [*self._wrong_rates, rate][-RATE_WINDOWS:] if is_wrong else []
+        # A clock that is set makes one window wrong, or two that differ.
+        is_steady = len(wrong) == RATE_WINDOWS and max(wrong) < WRONG_RATE * min(wrong)
+        self._wrong_rates, self.rate = wrong, rate if is_steady else None

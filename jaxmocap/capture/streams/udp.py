@@ -94,6 +94,11 @@ class MarkerSocket(MarkerSource):
         """How often a sender's clock was set."""
         return self.senders.clock_jumps
 
+    @property
+    def clock_rate(self) -> float | None:
+        """Seconds of a sender's clock in each of ours, where that is not about one."""
+        return self.senders.clock_rate
+
     def packets_by_sender(self) -> dict[str, int]:
         """Sender -> packets that came in from there, of the present ones."""
         return self.senders.packets()

@@ -30,6 +30,7 @@ from jaxmocap.formats.recordings.marker_places import bone_point_binder
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.senders.osc import DatagramSender
 from jaxmocap.outputs.senders.unity import UnityBody
+from jaxmocap.pipelines.live.reach_state import ReachState
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.setup import LiveSetup
 from jaxmocap.pipelines.live.status import LiveStatus
@@ -105,7 +106,7 @@ class Live:
         gathering = SampleAssembler(
             setup.marker_names, setup.source.aliases, setup.R_world_source, self._take_sample, bind
         )
-        self._gathering = gathering
+        self._gathering, self._reach = gathering, ReachState(setup.skeleton, setup.places)
         self._source = setup.source.open(gathering, self._now)
         ending.callback(self._source.stop)
         colour = smooth or out is not None or self._viewer is not None
@@ -184,6 +185,7 @@ class Live:
         taken = self._inbox.take(0.05)
         if isinstance(taken, MarkerSample):
             self._newest_sample = taken.arrived
+            self._reach.add(taken)
             outputs = self.tracking.sample(taken)
         else:
             outputs = self.tracking.frames(taken) if taken else []
@@ -216,6 +218,7 @@ class Live:
         sources = self._source, self._gathering, self._cameras
         for subject, state in stream_states(*sources, now, self._setup.places):
             self.status.set_state(now, subject, state)
+        self.status.set_state(now, "out of reach", self._reach.state)
         if self.recording is not None and self.recording.problem:
             self.status.set_state(now, "recording", self.recording.problem)
         received_at = {"markers": self._source.last_arrival} | {

@@ -36,7 +36,10 @@ def stream_states(
     yield "markers", _markers_state(markers, now)
     yield "missing", comma_list(gathering.missing(now)) or "none"
     yield from _orientation_states(gathering, places)
-    if jumps := markers.clock_jumps:
+    if (rate := markers.clock_rate) is not None:
+        how = f"runs {rate:.2g} times as fast as this machine's"
+        yield "the sender's clock", f"{how}; its stamps are not used"
+    elif jumps := markers.clock_jumps:
         yield "the sender's clock", f"was set, {tenfold(jumps)} times"
     for why, count in list(markers.ignored.items()):
         # Who sends markers sends bones, expressions and settings as well: that is worth a line only
