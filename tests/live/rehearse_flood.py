@@ -70,7 +70,10 @@ def free_port() -> int:
 def rehearse(hz: float, seconds: float) -> None:
     """Start everything, count what the run said."""
     folder, port = Path(tempfile.mkdtemp(prefix="flood-")), free_port()
-    places = [f'{name} = {{ bone = "{bone}", at = {at} }}' for name, (bone, at) in MARKERS.items()]
+    places = [
+        f'{name} = {{ bone = "{bone}", at = {at}, offset = {list(offset)} }}'
+        for name, (bone, at, offset) in MARKERS.items()
+    ]
     setup, figures_file = folder / "live.toml", folder / "figures.json"
     setup.write_text(LIVE.format(places="\n".join(places), port=port, vmc=free_port()))
     command = [sys.executable, "-m", "jaxmocap.cli", "live", str(setup)]
