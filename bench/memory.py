@@ -57,13 +57,16 @@ def write_long(folder: Path, samples: int) -> None:
         np.tile([1.0, 0.0, 0.0, 0.0], (samples, 1)),
         np.clip(relaxed + swaying, *limits.T),
     ]
+    # In the precision that tracking has.
+    parts = [part.astype(np.float32) for part in parts]
+    shape = samples, len(LANDMARKS)
     report = Report(
         markers=tuple(MARKERS),
         marker_errors=np.full((samples, len(MARKERS)), 0.002),
-        arm_costs=np.full((samples, 2), np.nan),
+        arm_costs=np.full((samples, 2), np.nan, np.float32),
         swivels=np.zeros((samples, 2)),
-        landmarks_std=np.full((samples, len(LANDMARKS), 3), 0.05),
-        from_prior=np.zeros((samples, len(LANDMARKS))),
+        landmarks_std=np.full((*shape, 3), 0.05, np.float32),
+        from_prior=np.zeros(shape, np.float32),
         statuses=((),) * samples,
         milliseconds={"solve": np.ones(samples)},
     )

@@ -15,6 +15,7 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.geometry.origin import local_origin
+from jaxmocap.geometry.rows import GatheredRows
 
 # A report's arrays with a row for each sample.
 SAMPLED = ("marker_errors", "arm_costs", "swivels", "landmarks_std", "from_prior")
@@ -59,12 +60,12 @@ class Report:
     @property
     def elbow_deviations(self) -> np.ndarray:
         """(T, 2) standard deviations of left and right elbow, over the three axes, metres."""
-        return self.deviations[:, ELBOWS]
+        return np.sqrt(np.sum(np.asarray(self.landmarks_std)[:, ELBOWS].astype(float) ** 2, -1))
 
     @property
     def deviations(self) -> np.ndarray:
         """(T, L) standard deviations of the ``LANDMARKS``, over the three axes, metres."""
-        return np.sqrt(np.sum(np.asarray(self.landmarks_std, float) ** 2, -1))
+        return np.linalg.norm(self.landmarks_std, axis=-1)
 
     @property
     def undetermined(self) -> np.ndarray:
@@ -107,14 +108,18 @@ class Motion:
 
     def joints(self) -> dict[str, np.ndarray]:
         """Landmark name -> (T, 3) positions, world, Z up, metres."""
-        points = _moved(landmarks_over_time(self.skeleton, self.poses), self.origin_world)
+        points = self.joint_positions()
         return {name: points[:, i] for i, name in enumerate(LANDMARKS)}
+
+    def joint_positions(self) -> np.ndarray:
+        """Positions (T, L, 3) of the ``LANDMARKS``, world, Z up, metres."""
+        return _moved(landmarks_over_time(self.skeleton, self.poses), self.origin_world)
 
     def deviations(self) -> dict[str, np.ndarray] | None:
         """Landmark name -> (T, 3) standard deviations, world, metres; None without a report."""
         if self.report is None:
             return None
-        stated = np.asarray(self.report.landmarks_std, float)
+        stated = np.asarray(self.report.landmarks_std)
         return {name: stated[:, i] for i, name in enumerate(LANDMARKS)}
 
 
@@ -168,12 +173,12 @@ def in_blocks(function: Callable[[Skeleton, Pose], Any], skeleton: Skeleton, pos
     count = len(poses.angles)
     # Motions of many lengths share few compilations: the last pose fills up to a power of two.
     size = min(max(FEWEST, 1 << (count - 1).bit_length()), MOST)
-    blocks = []
+    gathered = GatheredRows(count)
     for first in range(0, count, size):
         rows = np.minimum(np.arange(first, first + size), count - 1)
         filled = (jnp.asarray(np.asarray(part)[rows], float) for part in poses)
-        blocks.append(jax.tree.map(np.asarray, function(skeleton, Pose(*filled))))
-    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *blocks)
+        gathered.put(first, jax.tree.map(np.asarray, function(skeleton, Pose(*filled))))
+    return gathered.tree
 
 
 # Of the module, so that motions of one skeleton share them.

@@ -294,6 +294,6 @@ def _joints_as_markers(conversion: _Conversion, motion: Motion | Armature) -> Ma
     """Where the joints are, as markers: landmarks of a motion of ours, else all joints."""
     conversion.warnings.append("left out: the bones' orientations")
     if isinstance(motion, Motion):
-        names, points = tuple(landmark_names(conversion.options.names).values()), motion.joints()
-        return Markers(motion.times, names, np.stack(list(points.values()), 1).astype(float))
+        names = tuple(landmark_names(conversion.options.names).values())
+        return Markers(motion.times, names, motion.joint_positions())
     return Markers(motion.times, _joint_names(conversion, motion.names), joint_positions(motion))

@@ -2,6 +2,8 @@
 
 INPUTS: rotations over time (NumPy, on the host), and a range of each angle.
 OUTPUTS: three angles each: of all paths through the triples that make the rotations, the cheapest.
+
+Of a long motion some rotations at a time are in memory, and the angles.
 """
 
 import warnings
@@ -11,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
+
+from jaxmocap.geometry.rows import Rows, row_blocks
 
 # Outer axes nearer to each other than this, radians, turn as one.
 LOCK = 1e-6
@@ -30,6 +34,9 @@ _NEAR_LOCK = np.radians(15)
 _MOST_ERROR = np.radians(1)
 _STEP_FOR_ERROR = 20.0
 _IN_LOCK = 1e-3
+# What is in memory at a time: rotations; numbers of steps between triples.
+_BLOCK_ROTATIONS = 2**17
+_BLOCK_STEPS = 2**18
 # Of two paths alike the one that begins as is customary.
 _UNUSUAL_COST = 1e-6
 
@@ -62,27 +69,31 @@ class _Places(NamedTuple):
         return cls(middle, half, is_free, np.array(list(product(*tried))))
 
     def triples(self, ways: np.ndarray) -> np.ndarray:
-        """Both ways (J, 2, 3) less than a turn from the middles: triples (J, 2 K, 3)."""
+        """Both ways (..., J, 2, 3) less than a turn from the middles: triples (..., J, 2 K, 3)."""
         near = self.middle + wrapped(ways - self.middle)
         back = np.where(self.is_free, 0.0, np.where(near > self.middle, -1.0, 1.0))
-        return (near[:, :, None] + back[:, :, None] * self.turns).reshape(len(ways), -1, 3)
+        every = near[..., None, :] + back[..., None, :] * self.turns
+        return every.reshape(*ways.shape[:-2], -1, 3)
 
     def costs(self, triples: np.ndarray) -> np.ndarray:
-        """(J, N) of each second."""
+        """(..., J, N) of each second."""
         away = np.where(self.is_free, 0.0, np.abs(triples - self.middle))
         outside = np.maximum(away - self.half, 0.0)
         return (_OUTSIDE_COST * outside**2 + _MIDDLE_COST * away**2).sum(-1)
 
     def steps(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Costs (J, N, N) of steps between triples (J, N, 3)."""
-        step = after[:, None] - before[:, :, None]
-        if self.is_free.any():
-            step = np.where(self.is_free[:, None], wrapped(step), step)
-        return np.minimum((step * step).sum(-1), _DEAREST_STEP)
+        """Costs (..., J, N, N) of steps between triples (..., J, N, 3)."""
+        squares = np.zeros(())
+        for k in range(3):
+            step = after[..., None, :, k] - before[..., :, None, k]
+            if self.is_free[..., k].any():
+                step = np.where(self.is_free[..., k, None], wrapped(step), step)
+            squares = squares + step * step
+        return np.minimum(squares, _DEAREST_STEP)
 
 
 def continuous_euler(
-    R: np.ndarray,
+    R: Rows,
     order: str,
     ranges: np.ndarray | None = None,
     times: np.ndarray | None = None,
@@ -98,18 +109,18 @@ def continuous_euler(
     angles is determined: there the first one goes evenly from what it was to what it will be.
 
     Args:
-        R: rotations.
+        R: rotations; some rows at a time are asked for.
         order: intrinsic, capitals, of three different axes (``ZXY``) or with the outer ones the
             same (``YXY``).
         ranges: (J, 3, 2) least and largest angle, radians, or ``FREE``; None is free for all.
         times: (T,) seconds; None is one a second.
     """
-    ways = _ways(R, order)
     if ranges is None:
         ranges = np.broadcast_to(FREE, (R.shape[1], 3, 2))
     places = _Places.of(np.asarray(ranges, float))
     interval = 1.0 if times is None or len(times) < 2 else float(np.median(np.diff(times)))
-    angles = _cheapest(ways, places, interval)
+    angles = _customary(R, order)
+    _take_cheapest(angles, order, places, interval)
     for joint, angle in zip(*np.nonzero(places.is_free[:, 0]), strict=True):
         measured = np.isfinite(angles[:, joint, angle])
         angles[measured, joint, angle] = np.unwrap(angles[measured, joint, angle])
@@ -117,33 +128,40 @@ def continuous_euler(
 
 
 def eased_near_lock(angles: np.ndarray, order: str) -> np.ndarray:
-    """Angles (T, J, 3) with smaller steps past gimbal lock, where a degree of error allows that.
+    """Make the steps of angles (T, J, 3) past gimbal lock smaller, where a degree of error allows.
 
     A joint that passes lock a few degrees aside turns its outer angles one against the other by up
     to half a turn within a sample or two, while it hardly moves. As in damped inverse kinematics at
     a singularity, that turn is the least squares of its steps and of the rotation's error.
 
     Args:
-        angles: of ``continuous_euler``, radians; NaN where unknown.
+        angles: of ``continuous_euler``, radians, changed in place; NaN where unknown.
         order: as there.
+
+    Returns:
+        The angles.
     """
-    eased = angles.copy()
-    along = np.cos(angles[..., 1])
+    for joint in range(angles.shape[1]):
+        large = (np.abs(np.diff(angles[:, joint, ::2], axis=0)) > _LARGEST_STEP).any(-1)
+        if large.any():
+            _ease(angles[:, joint], large, order)
+    return angles
+
+
+def _ease(angles: np.ndarray, large: np.ndarray, order: str) -> None:
+    """The same of one joint (T, 3), whose steps (T - 1,) are large or not."""
+    along = np.cos(angles[:, 1])
     if order[0] != order[2]:
-        along = np.sin(angles[..., 1]) * (1.0 if order in "XYZXY" else -1.0)
+        along = np.sin(angles[:, 1]) * (1.0 if order in "XYZXY" else -1.0)
     # The rotation's error by a turn of the outer angles against each other.
     error = np.sqrt(np.maximum(2 - 2 * np.abs(along), 0.0))
-    large = (np.abs(np.diff(angles[..., ::2], axis=0)) > _LARGEST_STEP).any(-1)
-    for joint in np.flatnonzero(large.any(0)):
-        is_near = error[:, joint] < _NEAR_LOCK
-        borders = np.flatnonzero(np.diff(is_near, prepend=False, append=False))
-        for first, last in zip(borders[::2], borders[1::2], strict=True):
-            if large[max(first - 1, 0) : last, joint].any():
-                # One sample more at either side stays as it is.
-                part = slice(max(first - 1, 0), last + 1)
-                outer, sign = angles[part, joint, ::2], np.sign(along[first, joint])
-                eased[part, joint, ::2] += _opposite_turns(outer, sign, error[part, joint])
-    return eased
+    borders = np.flatnonzero(np.diff(error < _NEAR_LOCK, prepend=False, append=False))
+    for first, last in zip(borders[::2], borders[1::2], strict=True):
+        if large[max(first - 1, 0) : last].any():
+            # One sample more at either side stays as it is.
+            part = slice(max(first - 1, 0), last + 1)
+            sign = float(np.sign(along[first]))
+            angles[part, ::2] += _opposite_turns(angles[part, ::2], sign, error[part])
 
 
 def _opposite_turns(outer: np.ndarray, sign: float, error: np.ndarray) -> np.ndarray:
@@ -164,57 +182,97 @@ def _opposite_turns(outer: np.ndarray, sign: float, error: np.ndarray) -> np.nda
     return turn[:, None] * [1.0, -sign]
 
 
-def _cheapest(ways: np.ndarray, places: _Places, interval: float) -> np.ndarray:
-    """The path (T, J, 3) through both ways (T, J, 2, 3); NaN where they are."""
-    is_measured = np.isfinite(ways[..., 0, 0])
-    before = places.triples(np.zeros(ways.shape[1:]))
+def _take_cheapest(angles: np.ndarray, order: str, places: _Places, interval: float) -> None:
+    """Replace customary triples (T, J, 3) by those of the cheapest path; NaN stays."""
+    before = places.triples(np.zeros((angles.shape[1], 2, 3)))
+    joints, count = np.arange(len(before)), before.shape[1]
     has_begun = np.zeros(len(before), bool)
-    count = before.shape[1]
     total = np.tile(np.repeat([0.0, _UNUSUAL_COST], count // 2), (len(before), 1))
-    origins = np.empty((len(ways), len(before), count), np.int8)
-    stay = np.arange(count, dtype=np.int8)
-    for i, measured in enumerate(is_measured):
-        if not measured.any():
-            origins[i] = stay
-            continue
-        now = places.triples(np.where(measured[:, None, None], ways[i], 0.0))
-        every = total[:, :, None] + places.steps(before, now)
-        goes_on = measured & has_begun
-        origin = np.where(goes_on[:, None], every.argmin(1), stay)
-        reached = np.where(goes_on[:, None], every.min(1), total) + interval * places.costs(now)
-        origins[i] = origin
-        total = np.where(measured[:, None], reached, total)
-        before = np.where(measured[:, None, None], now, before)
-        has_begun |= measured
-    return _traced(ways, places, total.argmin(1), origins)
+    origins = np.empty((*angles.shape[:2], count), np.int8)
+    origins[:] = np.arange(count, dtype=np.int8)
+    size = max(1, _BLOCK_STEPS // (3 * len(before) * count**2))
+    blocks = [slice(first, first + size) for first in range(0, len(angles), size)]
+    for block in blocks:
+        ways = _ways(angles[block], order)
+        measured = np.isfinite(ways[..., 0, 0])
+        now = places.triples(np.where(measured[..., None, None], ways, 0.0))
+        costs = interval * places.costs(now)
+        # Of each sample the one before it that was measured, the first of which is ``before``.
+        every = np.concatenate([before[None], now])
+        latest = np.arange(1, len(every))[:, None] * measured
+        latest = np.maximum.accumulate(np.concatenate([np.zeros((1, len(before)), int), latest]))
+        steps = places.steps(every[latest[:-1], joints], now)
+        before = every[latest[-1], joints]
+        for i, origin in enumerate(origins[block]):
+            total = _step(total, steps[i], costs[i], measured[i], has_begun, origin)
+            has_begun |= measured[i]
+    last = total.argmin(1)
+    for block in reversed(blocks):
+        chosen = np.empty(angles[block].shape[:2], int)
+        for i in range(len(chosen) - 1, -1, -1):
+            chosen[i] = last
+            last = origins[block][i, joints, last]
+        triples = places.triples(_ways(angles[block], order))
+        angles[block] = np.take_along_axis(triples, chosen[..., None, None], 2)[:, :, 0]
 
 
-def _traced(ways: np.ndarray, places: _Places, last: np.ndarray, origins: np.ndarray) -> np.ndarray:
-    """The path (T, J, 3) that ends at the triples (J,), by where each came from (T, J, N)."""
-    angles = np.empty((*ways.shape[:2], 3))
-    joints = np.arange(len(last))
-    for i in range(len(ways) - 1, -1, -1):
-        angles[i] = places.triples(ways[i])[joints, last]
-        last = origins[i, joints, last]
-    return angles
+def _step(
+    total: np.ndarray,
+    steps: np.ndarray,
+    costs: np.ndarray,
+    measured: np.ndarray,
+    has_begun: np.ndarray,
+    origin: np.ndarray,
+) -> np.ndarray:
+    """Costs (J, N) of the cheapest paths to the triples of a sample, by those to the ones before.
+
+    Args:
+        total: (J, N) before it.
+        steps: (J, N, N) to it.
+        costs: (J, N) of its triples.
+        measured: (J,) whether the sample has them.
+        has_begun: (J,) whether one before it has.
+        origin: (J, N) where each path comes from, is written where it comes by a step.
+    """
+    every = total[:, :, None] + steps
+    goes_on = measured & has_begun
+    if goes_on.all():
+        origin[:] = every.argmin(1)
+        return every.min(1) + costs
+    origin[goes_on] = every[goes_on].argmin(1)
+    reached = np.where(goes_on[:, None], every.min(1), total) + costs
+    return np.where(measured[:, None], reached, total)
 
 
-def _ways(R: np.ndarray, order: str) -> np.ndarray:
-    """Both triples (T, J, 2, 3) of every rotation, the customary one first; NaN where unknown."""
+def _ways(angles: np.ndarray, order: str) -> np.ndarray:
+    """Both triples (T, J, 2, 3) of customary ones (T, J, 3), these first but for equal axes."""
     same = order[0] == order[2]
-    is_finite = np.isfinite(R.sum((-2, -1)))
-    safe = np.where(is_finite[..., None, None], R, np.eye(3)).reshape(-1, 3, 3)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Gimbal lock")
-        angles = Rotation.from_matrix(safe).as_euler(order).reshape(*is_finite.shape, 3)
-    apart = np.sin(angles[..., 1]) if same else np.cos(angles[..., 1])
-    is_locked = is_finite & (np.abs(apart) < LOCK)
-    for joint in np.flatnonzero(is_locked.any(0)):
-        locked, clear = is_locked[:, joint], is_finite[:, joint] & ~is_locked[:, joint]
-        angles[locked, joint] = _in_lock(R[locked, joint], order, angles[:, joint], locked, clear)
     other = wrapped(angles * [1, -1, 1] + (np.pi, 0.0 if same else np.pi, np.pi))
-    ways = np.stack((other, angles) if same else (angles, other), 2)
-    return np.where(is_finite[..., None, None], ways, np.nan)
+    return np.stack((other, angles) if same else (angles, other), 2)
+
+
+def _customary(R: Rows, order: str) -> np.ndarray:
+    """A triple (T, J, 3) of every rotation, as is customary; NaN where unknown."""
+    same, angles = order[0] == order[2], np.empty((*R.shape[:2], 3))
+    is_locked = np.zeros(R.shape[:2], bool)
+    in_lock: list[np.ndarray] = []
+    for block in row_blocks(len(angles), _BLOCK_ROTATIONS // max(R.shape[1], 1)):
+        part = R[block]
+        is_finite = np.isfinite(part.sum((-2, -1)))
+        safe = np.where(is_finite[..., None, None], part, np.eye(3)).reshape(-1, 3, 3)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Gimbal lock")
+            triples = Rotation.from_matrix(safe).as_euler(order).reshape(*is_finite.shape, 3)
+        apart = np.sin(triples[..., 1]) if same else np.cos(triples[..., 1])
+        is_locked[block] = is_finite & (np.abs(apart) < LOCK)
+        in_lock.append(part[is_locked[block]])
+        angles[block] = np.where(is_finite[..., None], triples, np.nan)
+    rotations, joints = np.concatenate(in_lock), np.nonzero(is_locked)[1]
+    for joint in np.flatnonzero(is_locked.any(0)):
+        locked, of_joint = is_locked[:, joint], rotations[joints == joint]
+        clear = np.isfinite(angles[:, joint, 0]) & ~locked
+        angles[locked, joint] = _in_lock(of_joint, order, angles[:, joint], locked, clear)
+    return angles
 
 
 def _in_lock(

@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.motion import UNDETERMINED_M, Motion, Report
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.formats.files.writing import replacing
 
@@ -116,15 +116,20 @@ def _summarise_report(times: np.ndarray, report: Report) -> dict:
 
 def _by_landmark(report: Report) -> dict:
     """Landmark -> standard deviation over the three axes; shares of samples."""
-    deviations = report.deviations
-    undetermined = np.where(np.isfinite(deviations), report.undetermined, np.nan)
+    by_landmark = np.moveaxis(np.asarray(report.landmarks_std), 1, 0)
     return {
-        name: {
-            "deviation_m": statistics(deviations[:, i], {"median": 50, "p95": 95}),
-            "from_prior_share": statistics(report.from_prior[:, i], {})["mean"],
-            "undetermined_share": statistics(undetermined[:, i], {})["mean"],
-        }
+        name: _stated(np.linalg.norm(np.asarray(by_landmark[i], float), axis=-1))
+        | {"from_prior_share": statistics(report.from_prior[:, i], {})["mean"]}
         for i, name in enumerate(LANDMARKS)
+    }
+
+
+def _stated(deviations: np.ndarray) -> dict:
+    """Of a landmark's (T,) deviations, metres."""
+    undetermined = deviations[np.isfinite(deviations)] > UNDETERMINED_M
+    return {
+        "deviation_m": statistics(deviations, {"median": 50, "p95": 95}),
+        "undetermined_share": statistics(undetermined, {})["mean"],
     }
 
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.motion import Motion
+from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.video import FrameSource, TimedImage
@@ -27,6 +28,7 @@ from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP, Z_UP, to_world
 from jaxmocap.formats.time_series.mot import write_isb, write_mot
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import turned
+from jaxmocap.geometry.rows import ComputedRows
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.overlay import write_overlay
 from jaxmocap.outputs.report import write_report
@@ -236,7 +238,13 @@ def write_motion(
     """
     files = [folder / name for name in MOTION_FILES]
     R_file_world = R_WORLD_OF_UP[formats.up].T
-    joints = {name: to_world(R_file_world, points) for name, points in motion.joints().items()}
+    points = motion.joint_positions()
+    joints = {
+        name: ComputedRows(
+            (len(points), 3), lambda rows, i=i: to_world(R_file_world, points[rows, i])
+        )
+        for i, name in enumerate(LANDMARKS)
+    }
     write_trc(files[0], motion.times, joints)
     sentences = {files[1]: write_mot(files[1], motion), files[2]: write_isb(files[2], motion)}
     save_motion(files[3], motion)

@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.proportions import PROPORTIONS
+from jaxmocap.geometry.rows import GatheredRows
 from jaxmocap.smoothing.batch import FINELY, measurements_of
 from jaxmocap.smoothing.linearise import rows_of, smooth_poses
 from jaxmocap.smoothing.problem import UNTURNED, FirstPass, SmoothingProblem, Trajectory, Views
@@ -65,7 +66,7 @@ def smooth_markers(
         return found
     start = start._replace(proportions=found.proportions)
     person = replace(model, skeleton=found.person(model.skeleton))
-    parts = []
+    joined = GatheredRows(count)
     for first in range(0, count, STRETCH):
         last = min(first + STRETCH, count)
         near = np.searchsorted(
@@ -76,10 +77,10 @@ def smooth_markers(
         sized = replace(own, model=person), at._replace(proportions=start.proportions[:0])
         poses = smooth_poses(*sized, FINELY).trajectory.poses
         solved = with_deviations(own, at._replace(poses=poses), FINELY[-1])
-        parts.append(_rows(solved, np.arange(first, last) - rows[0]))
+        joined.put(first, _rows(solved, np.arange(first, last) - rows[0]))
         show(0.5 + last / count / 2)
-    joined = jax.tree.map(lambda *each: np.concatenate(each), *parts)
-    return start._replace(poses=joined[0], deviations=joined[1], from_prior=joined[2])
+    poses, deviations, from_prior = joined.tree
+    return start._replace(poses=poses, deviations=deviations, from_prior=from_prior)
 
 
 def _among(

@@ -177,8 +177,9 @@ def walkers_measurements(
     there = _measured(model, markers_world)
     if not there.any() or len(times) < 2:
         return {}, 0.0
-    points = landmarks_over_time(model.skeleton, poses).astype(float)
-    crown, *wrists = points[:, landmark_rows(("vertex", "wrist_l", "wrist_r"))].swapaxes(0, 1)
+    rows = landmark_rows(("vertex", "wrist_l", "wrist_r"))
+    points = landmarks_over_time(model.skeleton, poses)[:, rows].astype(float)
+    crown, *wrists = points.swapaxes(0, 1)
     stature = skeleton_stature(model.skeleton)
     walk = Walk.of(times, np.asarray(ahead, float)[:, :2], crown, wrists, stature)
     if not walk.goes.any():

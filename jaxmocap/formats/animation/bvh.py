@@ -23,6 +23,7 @@ from jaxmocap.formats.time_series.tables import (
     row_texts,
 )
 from jaxmocap.geometry.euler import continuous_euler
+from jaxmocap.geometry.rows import ComputedRows, Index
 
 # Units that a file may be in.
 UNITS = METRES_PER_UNIT | {"in": 0.0254}
@@ -30,9 +31,6 @@ EULER_ORDER = "ZXY"
 _POSITIONS = ("Xposition", "Yposition", "Zposition")
 # Seconds per frame, at most.
 LONGEST_STEP_S = 1e4
-# What is in memory at a time while a file is written: orientations, frames.
-BLOCK_ROTATIONS = 1_200_000
-BLOCK_FRAMES = 4096
 
 
 def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
@@ -50,8 +48,8 @@ def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
         raise BeyondFormatError(path, f"BVH holds no {rate:g} frames per second")
     scale = 1 / UNITS[unit]
     # The tip of a limb is an end site, unless it turns itself.
-    tips = {j for j in armature.ends if armature.parents[j] >= 0
-            and np.abs(armature.rotations[:, j] - np.eye(3)).max() < 1e-9}  # fmt: skip
+    tips = {j for j in armature.ends
+            if armature.parents[j] >= 0 and armature.largest_turns[j] < 1e-9}  # fmt: skip
     order: list[int] = []
     lines = ["HIERARCHY", *_joint_lines(path, armature, tips, scale, order)]
     lines += ["MOTION", f"Frames: {len(armature.times)}", f"Frame Time: {1 / rate:.10f}"]
@@ -59,20 +57,18 @@ def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
 
 
 def _rows(armature: Armature, order: list[int], scale: float) -> Iterator[str]:
-    """The channels of every frame, some thousand frames at a time."""
+    """The channels of every frame."""
     count = len(armature.times)
-    angles = np.empty((count, len(order), 3))
-    # Joints do not depend on one another; of long motions not all need be in memory thrice.
-    width = max(1, BLOCK_ROTATIONS // count)
-    for first in range(0, len(order), width):
-        block = slice(first, first + width)
-        angles[:, block] = continuous_euler(armature.rotations[:, order[block]], EULER_ORDER)
-    for first in range(0, count, BLOCK_FRAMES):
-        block = slice(first, first + BLOCK_FRAMES)
-        degrees = np.degrees(angles[block]).reshape(-1, 3 * len(order))
-        values = np.concatenate([armature.positions[block] * scale, degrees], 1)
+    R = ComputedRows((count, len(order), 3, 3), lambda rows: armature.rotations[rows][:, order])
+    angles = continuous_euler(R, EULER_ORDER)
+
+    def table(rows: Index) -> np.ndarray:
+        degrees = np.degrees(angles[rows]).reshape(-1, 3 * len(order))
+        values = np.concatenate([armature.positions[rows] * scale, degrees], 1)
         # A zero has no sign.
-        yield from row_texts(values.round(6) + 0.0, " ")
+        return values.round(6) + 0.0
+
+    yield from row_texts(ComputedRows((count, 3 + 3 * len(order)), table), " ")
 
 
 def _joint_lines(

@@ -1,6 +1,7 @@
 """glTF 2.0 in its binary form: JSON and one block of numbers, in one file.
 
-INPUTS: a .glb file; or a glTF document and the arrays that its accessors stand for.
+INPUTS: a .glb file; or a glTF document and the arrays that its accessors stand for, of which some
+rows at a time may come while the file is written.
 OUTPUTS: the other. The container is 12 bytes of header and two chunks, so that the standard
 library's json and struct write it; the libraries there are would bring seven more packages.
 """
@@ -8,21 +9,25 @@ library's json and struct write it; the libraries there are would bring seven mo
 import json
 import math
 import struct
+from collections.abc import Iterable
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxmocap.formats.animation.json_parts import JsonPart
+from jaxmocap.formats.armatures.armature import BeyondFormatError
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.json_text import parse_json
 from jaxmocap.formats.files.reading import read_bytes
 from jaxmocap.formats.files.short_repr import short_repr
-from jaxmocap.formats.files.writing import write_bytes
+from jaxmocap.formats.files.writing import replacing
 
 # A .glb file begins with this, and with its version.
 _MAGIC = b"glTF"
 _VERSION = 2
+_MOST_BYTES = 2**32 - 1
 # Kinds of its chunks.
 _JSON = b"JSON"
 _BINARY = b"BIN\0"
@@ -41,7 +46,9 @@ class BinaryChunk:
     def __init__(self):
         self.accessors: list[dict[str, Any]] = []
         self.views: list[dict[str, Any]] = []
-        self.content = bytearray()
+        # Where each begins; what is not here yet is written at the end.
+        self.parts: dict[int, bytes] = {}
+        self.size = 0
 
     def add(
         self,
@@ -64,33 +71,72 @@ class BinaryChunk:
         view = self.add_bytes(held.tobytes())
         if target is not None:
             self.views[view]["target"] = target
-        accessor = {"bufferView": view, "componentType": _COMPONENTS[dtype]}
-        accessor |= {"count": len(stored), "type": _TYPES[stored.shape[1:]]}
+        bounds: dict[str, Any] = {}
         if bounded:
             rows = stored.reshape(len(stored), -1).astype(float)
-            accessor |= {"min": rows.min(0).tolist(), "max": rows.max(0).tolist()}
-        self.accessors.append(accessor)
-        return len(self.accessors) - 1
+            bounds = {"min": rows.min(0).tolist(), "max": rows.max(0).tolist()}
+        return self._add_accessor(view, stored.shape, dtype, bounds)
 
     def add_bytes(self, data: bytes) -> int:
         """Append a file's content; the index of its view."""
-        self.views.append({"buffer": 0, "byteOffset": len(self.content), "byteLength": len(data)})
-        self.content += data + bytes(-len(data) % 4)
+        self.parts[self.size] = data
+        return self._add_view(len(data))
+
+    def reserve(self, shape: tuple[int, ...], dtype: str = "<f4") -> tuple[int, int]:
+        """Room for an array that comes later: its accessor's index, and where it begins."""
+        start = self.size
+        view = self._add_view(math.prod(shape) * np.dtype(dtype).itemsize)
+        return self._add_accessor(view, shape, dtype, {}), start
+
+    def _add_view(self, length: int) -> int:
+        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": length})
+        self.size += length + -length % 4
         return len(self.views) - 1
 
+    def _add_accessor(
+        self, view: int, shape: tuple[int, ...], dtype: str, bounds: dict[str, Any]
+    ) -> int:
+        accessor = {"bufferView": view, "componentType": _COMPONENTS[dtype]}
+        self.accessors.append(accessor | {"count": shape[0], "type": _TYPES[shape[1:]]} | bounds)
+        return len(self.accessors) - 1
 
-def write_document(path: str | Path, document: dict[str, Any], binary: BinaryChunk) -> None:
-    """Write a document with the arrays that it refers to."""
+
+def write_document(
+    path: str | Path,
+    document: dict[str, Any],
+    binary: BinaryChunk,
+    later: Iterable[tuple[int, bytes]] = (),
+) -> None:
+    """Write a document with the arrays that it refers to.
+
+    Args:
+        path: of the file.
+        document: without its arrays.
+        binary: the arrays.
+        later: what there was room reserved for: where it begins, and its bytes.
+
+    Raises:
+        BeyondFormatError: it would be larger than the format's 4 GiB.
+    """
     complete = document | {
         "accessors": binary.accessors,
         "bufferViews": binary.views,
-        "buffers": [{"byteLength": len(binary.content)}],
+        "buffers": [{"byteLength": binary.size}],
     }
     text = json.dumps(complete, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), _JSON) + text
-    chunks += struct.pack("<I4s", len(binary.content), _BINARY) + bytes(binary.content)
-    write_bytes(path, struct.pack("<4sII", _MAGIC, _VERSION, 12 + len(chunks)) + chunks)
+    start = 12 + 8 + len(text) + 8
+    if start + binary.size > _MOST_BYTES:
+        size = f"{(start + binary.size) / 2**30:.1f} GiB"
+        raise BeyondFormatError(path, f"glTF holds less than 4 GiB, this would be {size}")
+    head = struct.pack("<4sII", _MAGIC, _VERSION, start + binary.size)
+    head += struct.pack("<I4s", len(text), _JSON) + text + struct.pack("<I4s", binary.size, _BINARY)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(head)
+        file.truncate(start + binary.size)
+        for at, data in chain(binary.parts.items(), later):
+            file.seek(start + at)
+            file.write(data)
 
 
 def read_document(path: str | Path) -> tuple[JsonPart, bytes]:

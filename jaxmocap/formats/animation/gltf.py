@@ -11,6 +11,7 @@ say when that was (``start``, seconds). Where the root is far from the world's o
 are about a local one, since glTF has single precision: ``extras`` say where (``origin``, metres).
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,8 @@ def write_gltf(
 
     Raises:
         InputError: every sample's pose is missing.
-        BeyondFormatError: it lasts too long for single precision to separate its samples.
+        BeyondFormatError: it lasts too long for single precision to separate its samples, or for
+            the size of a file.
     """
     if not armature.is_valid.any():
         raise InputError(path, "every sample's pose is missing")
@@ -72,15 +74,16 @@ def write_gltf(
         "materials": [{"pbrMetallicRoughness": material, "doubleSided": True}],
         "skins": [{"joints": joints, "skeleton": 0, "inverseBindMatrices": binary.add(mesh.bind)}],
     }
+    turns: Iterable[tuple[int, bytes]] = ()
     if not still:
-        animation = _animation(binary, motion)
+        animation, turns = _animation(binary, motion)
         animation["extras"] |= {"origin": origin.tolist()} if origin.any() else {}
         document["animations"] = [animation]
     if mesh.texture is not None:
         view = binary.add_bytes(mesh.texture)
         document["images"] = [{"bufferView": view, "mimeType": "image/png"}]
         document["textures"] = [{"source": 0}]
-    write_document(path, document, binary)
+    write_document(path, document, binary, turns)
 
 
 def _nodes(armature: Armature) -> list[dict[str, Any]]:
@@ -109,24 +112,49 @@ def _primitive(binary: BinaryChunk, mesh: SkinnedMesh) -> dict[str, Any]:
     return {"attributes": attributes, "indices": indices, "material": 0}
 
 
-def _animation(binary: BinaryChunk, armature: Armature) -> dict[str, Any]:
-    """Keys of the root's position, and of the rotations of joints that ever rotate."""
+def _animation(
+    binary: BinaryChunk, armature: Armature
+) -> tuple[dict[str, Any], Iterator[tuple[int, bytes]]]:
+    """Keys of the root's position, and of the rotations of joints that ever rotate.
+
+    The rotations themselves are computed while the file is written.
+    """
     times = armature.times
     keys = binary.add(times - times[0], bounded=True)
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
 
-    def channel(joint: int, path: str, values: np.ndarray) -> None:
+    def channel(joint: int, path: str, output: int) -> None:
         channels.append({"sampler": len(samplers), "target": {"node": joint, "path": path}})
-        samplers.append({"input": keys, "output": binary.add(values), "interpolation": "LINEAR"})
+        samplers.append({"input": keys, "output": output, "interpolation": "LINEAR"})
 
-    channel(0, "translation", armature.positions)
-    for j in range(len(armature.names)):
-        if np.abs((R := armature.rotations[:, j]) - np.eye(3)).max() > 0:
-            # Each of the sign nearest to the one before: players interpolate.
-            xyzw = Rotation.from_matrix(R).as_quat()
-            turns = np.where(np.sum(xyzw[1:] * xyzw[:-1], -1) < 0, -1.0, 1.0)
-            signs = np.cumprod(np.concatenate([[1.0], turns]))
-            channel(j, "rotation", xyzw * signs[:, None])
+    channel(0, "translation", binary.add(armature.positions))
+    starts: dict[int, int] = {}
+    for joint in np.flatnonzero(armature.largest_turns > 0).tolist():
+        output, starts[joint] = binary.reserve((len(times), 4))
+        channel(joint, "rotation", output)
     extras = {"start": float(times[0])}
-    return {"name": "motion", "channels": channels, "samplers": samplers, "extras": extras}
+    animation = {"name": "motion", "channels": channels, "samplers": samplers, "extras": extras}
+    return animation, _rotation_keys(armature, starts)
+
+
+def _rotation_keys(armature: Armature, starts: dict[int, int]) -> Iterator[tuple[int, bytes]]:
+    """Keys of joints' rotations, some samples at a time, and where each of them begins.
+
+    Args:
+        armature: whose poses are all known.
+        starts: joint -> where its first key begins.
+    """
+    joints = list(starts)
+    before = np.zeros((1, len(joints), 4))
+    for rows in armature.blocks() if joints else ():
+        R = armature.rotations[rows][:, joints]
+        xyzw = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat().reshape(*R.shape[:2], 4)
+        # Each of the sign nearest to the one before: players interpolate.
+        signed = np.concatenate([before, xyzw])
+        turns = np.where(np.sum(signed[1:] * signed[:-1], -1) < 0, -1.0, 1.0)
+        keys = xyzw * np.cumprod(turns, 0)[..., None]
+        before = keys[-1:]
+        stored = keys.astype("<f4")
+        for column, start in enumerate(starts.values()):
+            yield start + stored[0, 0].nbytes * rows.start, stored[:, column].tobytes()

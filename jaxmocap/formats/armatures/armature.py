@@ -6,11 +6,13 @@ OUTPUTS: an Armature, in other axes; where its joints are.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.geometry.rows import Rows, mapped, row_blocks, taken
 
 # What a file may hold: joints (fingers and faces take some hundred), and their depth in the tree.
 MAX_JOINTS = 2000
@@ -36,7 +38,8 @@ class Armature:
         times: (T,) seconds, ascending.
         positions: (T, 3) of the root, metres; NaN where the pose is unknown.
         rotations: (T, J, 3, 3) of each joint in its parent's frame, the root's in the file's;
-            identity in the rest pose; NaN where the pose is unknown.
+            identity in the rest pose; NaN where the pose is unknown. Of a motion of ours some rows
+            at a time are computed.
         radii: (J, 2) of the flesh from the parent's joint to this one, at both ends, metres; or
             None where it is not specified.
     """
@@ -46,7 +49,7 @@ class Armature:
     offsets: np.ndarray
     times: np.ndarray
     positions: np.ndarray
-    rotations: np.ndarray
+    rotations: Rows
     radii: np.ndarray | None = None
 
     @property
@@ -54,16 +57,30 @@ class Armature:
         """Joints that carry no other."""
         return tuple(j for j in range(len(self.names)) if j not in self.parents)
 
-    @property
+    @cached_property
     def is_valid(self) -> np.ndarray:
         """(T,) whether the pose is complete."""
-        return np.isfinite(self.positions.sum(-1) + self.rotations.sum((1, 2, 3)))
+        is_finite = [np.isfinite(self.rotations[rows].sum((1, 2, 3))) for rows in self.blocks()]
+        return np.isfinite(self.positions.sum(-1)) & np.concatenate(is_finite)
+
+    @cached_property
+    def largest_turns(self) -> np.ndarray:
+        """(J,) by how much each joint's rotation differs from the identity, at most; or NaN."""
+        largest = np.zeros(len(self.names))
+        for rows in self.blocks():
+            part = np.abs(self.rotations[rows] - np.eye(3)).max((-2, -1))
+            largest = np.maximum(largest, part.max(0, initial=0.0))
+        return largest
+
+    def blocks(self) -> Iterator[slice]:
+        """Samples in a row, so few that of a long motion no second copy is in memory."""
+        return row_blocks(len(self.times), BLOCK_ROTATIONS // len(self.names))
 
 
 def joint_positions(armature: Armature) -> np.ndarray:
     """Positions (T, J, 3) of all joints, metres."""
     points = np.repeat(armature.positions[:, None], len(armature.names), 1)
-    for block in _blocks(armature):
+    for block in armature.blocks():
         R = np.array(armature.rotations[block])
         for j, parent in enumerate(armature.parents):
             if parent >= 0:
@@ -74,22 +91,12 @@ def joint_positions(armature: Armature) -> np.ndarray:
 
 def rotated_armature(armature: Armature, R_new_old: np.ndarray) -> Armature:
     """The armature in other axes."""
-    rotations = np.empty(armature.rotations.shape)
-    for block in _blocks(armature):
-        rotations[block] = R_new_old @ armature.rotations[block] @ R_new_old.T
     return replace(
         armature,
         offsets=armature.offsets @ R_new_old.T,
         positions=armature.positions @ R_new_old.T,
-        rotations=rotations,
+        rotations=mapped(armature.rotations, lambda R: R_new_old @ R @ R_new_old.T),
     )
-
-
-def _blocks(armature: Armature) -> Iterator[slice]:
-    """Samples in a row, so few that of a long motion no second copy is in memory."""
-    size = max(1, BLOCK_ROTATIONS // len(armature.names))
-    for first in range(0, len(armature.times), size):
-        yield slice(first, first + size)
 
 
 def fill_from_nearest(armature: Armature, path: str | Path) -> Armature:
@@ -111,5 +118,7 @@ def fill_from_nearest(armature: Armature, path: str | Path) -> Armature:
     earlier = np.abs(t - t[valid_samples[before]]) < np.abs(t - t[valid_samples[after]])
     nearest = valid_samples[np.where(earlier, before, after)]
     return replace(
-        armature, positions=armature.positions[nearest], rotations=armature.rotations[nearest]
+        armature,
+        positions=armature.positions[nearest],
+        rotations=taken(armature.rotations, nearest),
     )

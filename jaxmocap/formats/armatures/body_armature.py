@@ -31,6 +31,7 @@ from jaxmocap.formats.armatures.joint_names import (
 )
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_name
+from jaxmocap.geometry.rows import ComputedRows, Index
 
 # Angles of our skeleton in the T pose, degrees; the others are 0.
 T_POSE = {"arm_abduct_l": 90.0, "arm_abduct_r": 90.0}
@@ -51,29 +52,34 @@ def armature_of(motion: Motion, convention: str = "jaxmocap") -> Armature:
     tree = skeleton.tree
     joints, parents = joint_tree(skeleton)
     bones = {name: i for i, name in enumerate(tree.bones)}
-    angles = np.asarray(motion.poses.angles, float)
-    local = local_turns(skeleton, angles)
+    _, quaternion, angles = map(np.asarray, motion.poses)
     rest = rest_orientations(skeleton)
     reach = np.asarray(skeleton.lengths, float)[:, None] * np.asarray(skeleton.directions, float)
     offsets, radii = np.zeros((len(joints), 3)), np.zeros((len(joints), 2))
-    R = np.tile(np.eye(3), (len(angles), len(joints), 1, 1))
-    R[:, 0] = matrices(np.asarray(motion.poses.quaternion, float))
     for j, joint in enumerate(joints[1:], 1):
         across = bone_ending_at(skeleton, joint)
         if across is not None:
             offsets[j] = rest[across] @ reach[across]
             radii[j] = np.asarray(skeleton.diameters)[across] / 2
-        if joint in bones:
-            bone, parent = bones[joint], tree.parents[bones[joint]]
-            R_rest_parent = np.eye(3) if parent < 0 else rest[parent]
-            R[:, j] = R_rest_parent @ local[:, bone] @ rest[bone].T
+
+    def rotations(rows: Index) -> np.ndarray:
+        local = local_turns(skeleton, angles[rows].astype(float))
+        R = np.tile(np.eye(3), (len(local), len(joints), 1, 1))
+        R[:, 0] = matrices(quaternion[rows].astype(float))
+        for j, joint in enumerate(joints):
+            if joint in bones:
+                bone, parent = bones[joint], tree.parents[bones[joint]]
+                R_rest_parent = np.eye(3) if parent < 0 else rest[parent]
+                R[:, j] = R_rest_parent @ local[:, bone] @ rest[bone].T
+        return R
+
     return Armature(
         tuple(names[joint] for joint in joints),
         parents,
         offsets,
         np.asarray(motion.times, float),
         np.asarray(motion.positions_world, float),
-        R,
+        ComputedRows((len(angles), len(joints), 3, 3), rotations),
         radii,
     )
 
@@ -143,7 +149,7 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
         skeleton = with_wrists(skeleton)
         angles = _angles(skeleton, armature, index, path)
     is_valid = armature.is_valid[:, None]
-    root = np.where(is_valid[..., None], armature.rotations[:, index[PELVIS]], np.eye(3))
+    root = np.where(is_valid[..., None], armature.rotations[:][:, index[PELVIS]], np.eye(3))
     quaternion = Rotation.from_matrix(root).as_quat(scalar_first=True)
     parts = [armature.positions, quaternion, angles]
     parts_or_nan: list[Any] = [np.where(is_valid, part, np.nan) for part in parts]
@@ -155,12 +161,12 @@ def _angles(
 ) -> np.ndarray:
     """Angles (T, D), radians, by which the bones have the orientations of the armature's joints."""
     angles = np.zeros((len(armature.times), len(skeleton.tree.joints)))
-    rest = rest_orientations(skeleton)
+    rest, rotations = rest_orientations(skeleton), armature.rotations[:]
     for bone, name in enumerate(skeleton.tree.bones):
         if name in index:
             parent = skeleton.tree.parents[bone]
             R_rest_parent = np.eye(3) if parent < 0 else rest[parent]
-            local = R_rest_parent.T @ armature.rotations[:, index[name]] @ rest[bone]
+            local = R_rest_parent.T @ rotations[:, index[name]] @ rest[bone]
             dofs = [d for d, carried in enumerate(skeleton.tree.dof_bones) if carried == bone]
             angles[:, dofs] = hinge_angles(skeleton, dofs, local)
             _check_rotations(path, name, armature, local_turns(skeleton, angles)[:, bone], local)

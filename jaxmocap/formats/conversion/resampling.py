@@ -21,6 +21,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.formats.armatures.armature import Armature
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.tables import Markers
+from jaxmocap.geometry.rows import ComputedRows, Rows, taken
 
 # Numbers that may come of any recording, and at most: half an hour of a body at 200 Hz is 81
 # million, 0.65 GB.
@@ -117,13 +118,13 @@ def lerp(values: np.ndarray, at: Interpolation) -> np.ndarray:
     return values_then
 
 
-def slerp(R: np.ndarray, at: Interpolation) -> np.ndarray:
+def slerp(R: Rows, at: Interpolation) -> np.ndarray:
     """(N, ..., 3, 3) spherical linear interpolation of (T, ..., 3, 3) rotations.
 
     NaN where one of the two is, and within gaps.
     """
     R_then = np.empty((len(at.fraction), *R.shape[1:]))
-    for block, at_block in at.blocks(R[0].size):
+    for block, at_block in at.blocks(int(np.prod(R.shape[1:]))):
         ends = R[at_block.before], R[at_block.after]
         is_finite = np.isfinite(sum(each.sum((-2, -1)) for each in ends))[..., None, None]
         first, second = (
@@ -141,7 +142,11 @@ def slerp(R: np.ndarray, at: Interpolation) -> np.ndarray:
 def resampled_armature(armature: Armature, times: np.ndarray) -> Armature:
     """An armature at (N,) other times."""
     at = interpolation_at(armature.times, times)
-    positions, rotations = lerp(armature.positions, at), slerp(armature.rotations, at)
+    rotations = ComputedRows(
+        (len(times), *armature.rotations.shape[1:]),
+        lambda rows: slerp(armature.rotations, Interpolation(*(each[rows] for each in at))),
+    )
+    positions = lerp(armature.positions, at)
     return replace(armature, times=times, positions=positions, rotations=rotations)
 
 
@@ -189,5 +194,5 @@ def hold_across_gaps(armature: Armature) -> Armature:
         armature,
         times=later,
         positions=armature.positions[order],
-        rotations=armature.rotations[order],
+        rotations=taken(armature.rotations, order),
     )

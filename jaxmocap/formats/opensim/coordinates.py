@@ -87,7 +87,8 @@ def write_opensim(path: str | Path, motion: Motion) -> list[str]:
         name: values if name in _ROOT[3:] else np.degrees(values)
         for name, values in columns.items()
     }
-    steps = write_table(Path(path), times, degrees)
+    table = np.stack(list(degrees.values()), 1)
+    steps = write_table(Path(path), times, tuple(degrees), table)
     sentences = ["left out: neck and clavicles, which OpenSim's model does not have"]
     if missing := int((~is_measured).sum()):
         sentences.append(f"left out: {missing} samples without a pose, which OpenSim cannot read")

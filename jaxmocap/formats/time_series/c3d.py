@@ -200,7 +200,8 @@ def write_c3d(path: str | Path, markers: Markers) -> None:
     if long or len(markers.names) > 255:
         excess = f"the name {long[0]!r}" if long else f"{len(markers.names)} markers"
         raise InputError(path, f"{excess}: C3D holds 255 markers, names of 127 bytes")
-    positions = np.moveaxis(table.reshape(len(times), -1, 3), 2, 0).swapaxes(1, 2) / _METRES_PER_MM
+    places = table[:].reshape(len(times), -1, 3)
+    positions = np.moveaxis(places, 2, 0).swapaxes(1, 2) / _METRES_PER_MM
     missing = np.asarray(np.isnan(positions).any(0))
     residuals, step = _residuals(markers, missing)
     file = ezc3d.c3d()

@@ -28,6 +28,7 @@ from jaxmocap.formats.time_series.tables import (
     row_texts,
     stack_points,
 )
+from jaxmocap.geometry.rows import ComputedRows, Index, Rows
 
 HEADER = "'time,Name.x,Name.y,Name.z,...', with Name.qw,Name.qx,Name.qy,Name.qz after or without"
 
@@ -97,7 +98,7 @@ def _names(path: str | Path, header: str) -> tuple[list[str], list[bool]]:
 def write_csv(
     path: str | Path,
     times: np.ndarray,
-    points: dict[str, np.ndarray],
+    points: Mapping[str, Rows],
     orientations: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Write a CSV file of markers.
@@ -112,14 +113,21 @@ def write_csv(
         ValueError: shapes or names that do not fit.
     """
     times, positions = stack_points(times, points, "\r\n\0", path)
-    header, columns, parts = io.StringIO(), ["time"], []
-    for i, name in enumerate(points):
+    header, columns, oriented = io.StringIO(), ["time"], orientations or {}
+    for name in points:
         columns += [f"{name}.{axis}" for axis in "xyz"]
-        parts.append(positions[:, 3 * i : 3 * i + 3])
-        if orientations and name in orientations:
+        if name in oriented:
             columns += [f"{name}.q{axis}" for axis in "wxyz"]
-            parts.append(quaternions(orientations[name]))
     csv.writer(header, lineterminator="").writerow(columns)
-    table = np.concatenate(parts, 1) if orientations else positions
-    rows = zip(times, row_texts(table, ","), strict=True)
+
+    def with_orientations(rows: Index) -> np.ndarray:
+        places, parts = positions[rows], []
+        for i, name in enumerate(points):
+            parts.append(places[:, 3 * i : 3 * i + 3])
+            if name in oriented:
+                parts.append(quaternions(oriented[name][rows]))
+        return np.concatenate(parts, 1)
+
+    table = ComputedRows((len(times), len(columns) - 1), with_orientations)
+    rows = zip(times, row_texts(table if oriented else positions, ","), strict=True)
     write_lines(path, [header.getvalue()], (f"{time:.9f},{row}" for time, row in rows))

@@ -45,6 +45,7 @@ rotation of the neck, pronation, flexion and deviation of the wrist as well.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -52,6 +53,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.orientations import body_turns, matrices
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.euler import FREE, continuous_euler, eased_near_lock
+from jaxmocap.geometry.rows import ComputedRows, Index
 
 # Our axes (x forward, y left, z up) hold ISB's x, y, z in these columns; the world's alike.
 R_BONE_ISB = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -110,32 +112,41 @@ LIMB_JOINTS = (
 
 def isb_angles(motion: Motion) -> dict[str, np.ndarray]:
     """Name -> (T,) radians, continuous; NaN where the pose is unknown."""
-    skeleton = motion.skeleton
-    R_pelvis_bone = body_turns(skeleton, np.asarray(motion.poses.angles, float))
-    R_world_pelvis = matrices(np.asarray(motion.poses.quaternion, float))
-    wanted: list[tuple[Joint, str, tuple[int, ...], np.ndarray]] = []
-    for joint in PELVIS_JOINT:
-        R = R_world_pelvis @ _segment(skeleton, R_pelvis_bone, joint.distal)
-        wanted.append((joint, "", (0, 1, 2), R))
+    wanted: list[tuple[Joint, str, tuple[int, ...]]]
+    wanted = [(joint, "", (0, 1, 2)) for joint in PELVIS_JOINT]
     for joint, side in [(joint, "") for joint in TRUNK_JOINTS] + [
         (j, s) for s in "rl" for j in LIMB_JOINTS
     ]:
-        if kept := made_by_hinges(skeleton, joint, side):
-            near, far = (_sided(skeleton, b, side) for b in (joint.proximal, joint.distal))
-            R_near, R_far = (_segment(skeleton, R_pelvis_bone, bone) for bone in (near, far))
-            wanted.append((joint, side, kept, R_near.swapaxes(-1, -2) @ R_far))
-    angles = _euler_angles(
-        [joint for joint, *_ in wanted], [_in_isb(*each) for each in wanted], motion.times
-    )
-    return {
-        "_".join(filter(None, (joint.name, joint.angles[k], side))): joint.signs[k]
-        * joint_angles[:, k]
-        for (joint, side, kept, _), joint_angles in zip(wanted, angles, strict=True)
-        for k in kept
-    }
+        if kept := made_by_hinges(motion.skeleton, joint, side):
+            wanted.append((joint, side, kept))
+    angles = _euler_angles(motion, [(joint, side) for joint, side, _ in wanted])
+    columns = {}
+    for (joint, side, kept), joint_angles in zip(wanted, angles, strict=True):
+        joint_angles *= joint.signs
+        for k in kept:
+            name = "_".join(filter(None, (joint.name, joint.angles[k], side)))
+            columns[name] = joint_angles[:, k]
+    return columns
 
 
-def _in_isb(joint: Joint, side: str, _: tuple[int, ...], R: np.ndarray) -> np.ndarray:
+def _turns(motion: Motion, joints: list[tuple[Joint, str]], rows: Index) -> np.ndarray:
+    """Turns (N, J, 3, 3) of joints of a side, in ISB's axes, at some samples."""
+    skeleton = motion.skeleton
+    R_pelvis_bone = body_turns(skeleton, np.asarray(motion.poses.angles)[rows].astype(float))
+    R_world_pelvis = matrices(np.asarray(motion.poses.quaternion)[rows].astype(float))
+    turns = []
+    for joint, side in joints:
+        near, far = (_sided(skeleton, b, side) for b in (joint.proximal, joint.distal))
+        R_far = _segment(skeleton, R_pelvis_bone, far)
+        if joint in PELVIS_JOINT:
+            turns.append(_in_isb(joint, side, R_world_pelvis @ R_far))
+        else:
+            R_near = _segment(skeleton, R_pelvis_bone, near)
+            turns.append(_in_isb(joint, side, R_near.swapaxes(-1, -2) @ R_far))
+    return np.stack(turns, 1)
+
+
+def _in_isb(joint: Joint, side: str, R: np.ndarray) -> np.ndarray:
     """Turns (T, 3, 3) between a joint's bones as turns between ISB's axes, left ones mirrored."""
     to_isb = R_BONE_ISB @ MIRROR if side == "l" else R_BONE_ISB
     near, far = (_segment_axes(bone) for bone in (joint.proximal, joint.distal))
@@ -147,16 +158,18 @@ def _segment_axes(bone: str | None) -> np.ndarray:
     return SUPINATED if bone in ("radius", "hand") else np.eye(3)
 
 
-def _euler_angles(joints: list[Joint], R: list[np.ndarray], times: np.ndarray) -> list[np.ndarray]:
-    """Angles (T, 3) of each joint's turns (T, 3, 3); joints of one order go together."""
-    turns = [np.empty(0)] * len(joints)
-    for order in {joint.order for joint in joints}:
-        alike = [i for i, joint in enumerate(joints) if joint.order == order]
-        ranges = np.radians([joints[i].ranges for i in alike])
-        angles = continuous_euler(np.stack([R[i] for i in alike], 1), order, ranges, times)
+def _euler_angles(motion: Motion, joints: list[tuple[Joint, str]]) -> list[np.ndarray]:
+    """Angles (T, 3) of each joint of a side; joints of one order go together."""
+    found = [np.empty(0)] * len(joints)
+    for order in {joint.order for joint, _ in joints}:
+        alike = [i for i, (joint, _) in enumerate(joints) if joint.order == order]
+        ranges = np.radians([joints[i][0].ranges for i in alike])
+        turns = partial(_turns, motion, [joints[i] for i in alike])
+        R = ComputedRows((len(motion.times), len(alike), 3, 3), turns)
+        angles = continuous_euler(R, order, ranges, motion.times)
         for i, column in zip(alike, np.moveaxis(eased_near_lock(angles, order), 1, 0), strict=True):
-            turns[i] = column
-    return turns
+            found[i] = column
+    return found
 
 
 def made_by_hinges(skeleton: Skeleton, joint: Joint, side: str = "") -> tuple[int, ...]:

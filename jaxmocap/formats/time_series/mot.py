@@ -10,7 +10,7 @@ without jumps at ±180°. Bones are not in it. A file of ISB's angles has those 
 which no motion can be read; those of OpenSim's model are in ``formats.opensim``.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,7 @@ from jaxmocap.formats.time_series.tables import (
     row_texts,
 )
 from jaxmocap.geometry.euler import FREE, continuous_euler
+from jaxmocap.geometry.rows import ComputedRows, Index, Rows, row_blocks
 
 TRANSLATION_COLUMNS = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
 ROTATION_COLUMNS = ("pelvis_yaw", "pelvis_pitch", "pelvis_roll")
@@ -47,12 +48,21 @@ LARGEST_STEP_DEG = 60
 def write_mot(path: str | Path, motion: Motion) -> list[str]:
     """Write the angles of a motion; NaN where a pose is unknown. Returns ``write_table``'s."""
     names = (*TRANSLATION_COLUMNS, *ROTATION_COLUMNS, *motion.skeleton.tree.joints)
-    R_world_pelvis = matrices(np.asarray(motion.poses.quaternion, float))
+    _, quaternion, angles = map(np.asarray, motion.poses)
+    positions, count = motion.positions_world, len(motion.times)
+
+    def turns_of(rows: Index) -> np.ndarray:
+        return matrices(quaternion[rows].astype(float))[:, None]
+
     ranges = np.radians([(FREE, (-90, 90), FREE)])
-    turns = continuous_euler(R_world_pelvis[:, None], _EULER_ORDER, ranges, motion.times)[:, 0]
-    angles = np.degrees(np.concatenate([turns, np.asarray(motion.poses.angles, float)], 1))
-    table = np.concatenate([motion.positions_world, angles], 1)
-    return write_table(Path(path), motion.times, dict(zip(names, table.T, strict=True)))
+    R_world_pelvis = ComputedRows((count, 1, 3, 3), turns_of)
+    turns = continuous_euler(R_world_pelvis, _EULER_ORDER, ranges, motion.times)[:, 0]
+
+    def table(rows: Index) -> np.ndarray:
+        degrees = np.degrees(np.concatenate([turns[rows], angles[rows].astype(float)], 1))
+        return np.concatenate([positions[rows], degrees], 1)
+
+    return write_table(Path(path), motion.times, names, ComputedRows((count, len(names)), table))
 
 
 def write_isb(path: str | Path, motion: Motion) -> list[str]:
@@ -60,31 +70,40 @@ def write_isb(path: str | Path, motion: Motion) -> list[str]:
 
     Returns ``write_table``'s.
     """
-    columns = {name: np.degrees(angle) for name, angle in isb_angles(motion).items()}
-    return write_table(Path(path), motion.times, columns)
+    angles = isb_angles(motion)
+
+    def table(rows: Index) -> np.ndarray:
+        return np.degrees(np.stack([angle[rows] for angle in angles.values()], 1))
+
+    shape = len(motion.times), len(angles)
+    return write_table(Path(path), motion.times, tuple(angles), ComputedRows(shape, table))
 
 
-def write_table(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray]) -> list[str]:
-    """Write columns (T,), degrees but for places.
+def write_table(path: Path, times: np.ndarray, names: Sequence[str], table: Rows) -> list[str]:
+    """Write columns (T, C) of these names, degrees but for places.
 
     Returns:
         A sentence on the largest step of an angle, where one is larger than ``LARGEST_STEP_DEG``.
     """
-    head = [path.stem, "version=1", f"nRows={len(times)}", f"nColumns={len(columns) + 1}"]
-    lines = [*head, "inDegrees=yes", "endheader", "\t".join(["time", *columns])]
-    table = np.stack(list(columns.values()), 1)
+    head = [path.stem, "version=1", f"nRows={len(times)}", f"nColumns={len(names) + 1}"]
+    lines = [*head, "inDegrees=yes", "endheader", "\t".join(["time", *names])]
     rows = zip(times, row_texts(table, "\t", decimals=8, nan="NaN"), strict=True)
     write_lines(path, lines, (f"{time:.9f}\t{row}" for time, row in rows))
-    angles = {name: column for name, column in columns.items() if _is_angle(name)}
-    steps = np.abs(np.diff(np.stack(list(angles.values()), 1), axis=0))
-    large = steps > LARGEST_STEP_DEG
-    if not large.any():
+    is_angle = np.array([_is_angle(name) for name in names])
+    largest, at, column, count = 0.0, 0, 0, 0
+    for rows in row_blocks(len(times)):
+        block = table[slice(max(rows.start - 1, 0), rows.stop)]
+        steps = np.where(is_angle, np.nan_to_num(np.abs(np.diff(block, axis=0))), 0.0)
+        count += int((steps > LARGEST_STEP_DEG).sum())
+        if steps.size and steps.max() > largest:
+            largest = float(steps.max())
+            row, column = divmod(int(steps.argmax()), len(names))
+            at = max(rows.start - 1, 0) + row
+    if not count:
         return []
-    sample, column = np.unravel_index(np.where(large, steps, 0.0).argmax(), steps.shape)
     return [
-        f"{list(angles)[column]} steps by {steps[sample, column]:.0f}° from "
-        f"{times[sample]:.2f} to {times[sample + 1]:.2f} s, the largest of "
-        f"{int(large.sum())} above {LARGEST_STEP_DEG}°"
+        f"{names[column]} steps by {largest:.0f}° from {times[at]:.2f} to {times[at + 1]:.2f} s, "
+        f"the largest of {count} above {LARGEST_STEP_DEG}°"
     ]
 
 

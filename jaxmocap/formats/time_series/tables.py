@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.geometry.rows import ComputedRows, Index, Rows, row_blocks
 
 # Of one table, 0.5 GB: half an hour of 60 markers at 200 Hz.
 MAX_VALUES = 66_000_000
@@ -262,21 +263,23 @@ def even_rate(path: str | Path, times: np.ndarray) -> float:
     return rate if abs(rate * step - 1) * len(times) < 1e-3 else 1 / step
 
 
-def row_texts(values: np.ndarray, between: str, decimals: int = 6, nan: str = "") -> Iterator[str]:
+def row_texts(values: Rows, between: str, decimals: int = 6, nan: str = "") -> Iterator[str]:
     """The cells of each row of (T, C), joined; one row at a time, for tables of any length."""
-    cells = between.join([f"%.{decimals}f"] * values.shape[1])
-    for row in values:
-        text = cells % tuple(row)
-        yield text.replace("nan", nan) if "nan" in text else text
+    count, columns = values.shape
+    cells = between.join([f"%.{decimals}f"] * columns)
+    for rows in row_blocks(count):
+        for row in values[rows]:
+            text = cells % tuple(row)
+            yield text.replace("nan", nan) if "nan" in text else text
 
 
 def stack_points(
     times: np.ndarray,
-    points: dict[str, np.ndarray],
+    points: Mapping[str, Rows],
     forbidden: str,
     path: str | Path = "points to write",
     smallest_m: float = SMALLEST_M,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, ComputedRows]:
     """Times (T,) and coordinates (T, 3 M) to write, checked.
 
     A point at the origin moves by the smallest distance written, since zeros mean missing.
@@ -289,20 +292,24 @@ def stack_points(
     for name, positions in points.items():
         if not name.strip() or name != name.strip() or any(c in name for c in forbidden):
             raise InputError(path, f"marker name {short_repr(name)} cannot be written")
-        if np.shape(positions) != (len(times), 3):
+        if positions.shape != (len(times), 3):
             raise ValueError(
-                f"marker {name!r}: found shape {np.shape(positions)}, expected {(len(times), 3)}"
+                f"marker {name!r}: found shape {positions.shape}, expected {(len(times), 3)}"
             )
-        if np.isinf(positions).any():
+        if any(np.isinf(positions[rows]).any() for rows in row_blocks(len(times))):
             raise ValueError("found an infinite position; missing ones are NaN")
     if not points or not len(times):
         raise InputError(path, "expected at least one marker and one sample to write")
     check_times(path, times, "sample")
     check_names(path, tuple(points), "names to write")
-    table = np.empty((len(times), 3 * len(points)))
-    for i, positions in enumerate(points.values()):
-        columns = table[:, 3 * i : 3 * i + 3]
-        columns[:] = positions
-        is_zero = (np.abs(columns) <= smallest_m / 2).all(-1)
-        columns[is_zero, 0] = np.copysign(smallest_m, columns[is_zero, 0])
-    return times, table
+
+    def table(rows: Index) -> np.ndarray:
+        parts = []
+        for positions in points.values():
+            part = np.array(positions[rows], float)
+            is_zero = (np.abs(part) <= smallest_m / 2).all(-1)
+            part[is_zero, 0] = np.copysign(smallest_m, part[is_zero, 0])
+            parts.append(part)
+        return np.concatenate(parts, -1)
+
+    return times, ComputedRows((len(times), 3 * len(points)), table)

@@ -4,6 +4,7 @@ INPUTS: a .trc file, its unit in the header (m, cm or mm); or times and points i
 OUTPUTS: Markers in metres, in the file's own axes; or a .trc file in metres.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -23,6 +24,7 @@ from jaxmocap.formats.time_series.tables import (
     row_texts,
     stack_points,
 )
+from jaxmocap.geometry.rows import Rows
 
 _KEYS = (
     *("DataRate", "CameraRate", "NumFrames", "NumMarkers"),
@@ -100,7 +102,7 @@ def _names(path: str | Path, name_line: str, axis_line: str) -> list[str]:
 
 
 def write_trc(
-    path: str | Path, times: np.ndarray, points: dict[str, np.ndarray], rate: float | None = None
+    path: str | Path, times: np.ndarray, points: Mapping[str, Rows], rate: float | None = None
 ) -> None:
     """Write a TRC file in metres; missing markers are empty cells.
 

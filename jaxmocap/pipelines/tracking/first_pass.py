@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxmocap.capture.footage import ForwardReader
 from jaxmocap.compilation.clock import Clock
+from jaxmocap.geometry.rows import GatheredRows
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.progress import Progress
 from jaxmocap.pipelines.tracking import warnings
@@ -35,19 +36,21 @@ def scanned(
     images = _images(events, readers, about_images) if readers else None
     tracker.compile_ahead(scan=True)
     state = tracker.init(events.markers_world[0])
-    times, parts, about_steps = events.timeline.event_times, [], []
+    times, about = events.timeline.event_times, []
+    gathered = GatheredRows(len(times))
     for chunk in tracker.scan(state, times, events.markers_world, images, clock):
-        if not parts:
+        if not about:
             began = clock.keep("first_call", began)
-        parts.append((chunk.poses, chunk.reports))
+        gathered.put(len(about), (chunk.poses, chunk.reports))
         rows = range(len(chunk.events))
-        about_steps += [list(warnings.of_step(_row(chunk.reports, row))) for row in rows]
+        about += [list(warnings.of_step(_row(chunk.reports, row))) for row in rows]
         # All stages together, as far as they did not run beside one another.
         stage, among = ("frame", chunk.frames) if chunk.frames else ("sample", len(rows))
         began = clock.keep(stage, began, among)
-        show(len(about_steps), len(times))
-    poses, reports = jax.tree.map(lambda *each: np.concatenate(each), *parts)
-    about = [[*step, *(about_images[i] if readers else [])] for i, step in enumerate(about_steps)]
+        show(len(about), len(times))
+    poses, reports = gathered.tree
+    for step, of_images in zip(about, about_images, strict=False):
+        step += of_images
     return _first_pass(events, poses, reports, about)
 
 

@@ -124,8 +124,12 @@ def motions(
 
 def _at_samples(events: RecordingEvents, values: np.ndarray | Array) -> np.ndarray:
     """(T, ...) of each sample, by values (E, ...) of the events; NaN before the first one."""
-    kept = np.asarray(values)[np.flatnonzero(events.timeline.sample_index >= 0)]
-    return np.concatenate([np.full((events.before, *kept.shape[1:]), np.nan), kept])
+    values, rows = np.asarray(values), np.flatnonzero(events.timeline.sample_index >= 0)
+    # Of a long recording without a video nothing is copied.
+    kept = values if len(rows) == len(values) else values[rows]
+    if not events.before:
+        return kept
+    return np.concatenate([np.full((events.before, *kept.shape[1:]), np.nan, kept.dtype), kept])
 
 
 def _motion(
