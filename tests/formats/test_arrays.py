@@ -6,6 +6,7 @@ import struct
 import subprocess
 import sys
 import zipfile
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 from conftest import problem_of
 from moving_body import SAMPLES, moving_body
 
+from jaxmocap.formats.files import arrays
 from jaxmocap.formats.files.arrays import INTEGERS, NAMES, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import load_motion, save_motion
@@ -271,6 +273,16 @@ def test_a_bomb_is_refused_before_it_goes_off(tmp_path, motion):
         message == f"{path}: times: states 1024 MB, expected at most 768 MB of arrays in one file"
     )
     assert size < MOST_MB / 5
+
+
+@pytest.mark.parametrize(("kind", "is_read"), [("<f4", True), ("<f8", False), ("<i4", False)])
+def test_what_may_be_read_counts_as_it_is_in_memory(tmp_path, monkeypatch, kind, is_read):
+    """Fractions of single precision stay so: a million samples of a motion can be read again."""
+    monkeypatch.setattr(arrays, "MAX_ARRAY_BYTES", 5_000)
+    np.savez_compressed(tmp_path / "a.npz", times=np.arange(1000).astype(kind))
+    file = NpzArrays(tmp_path / "a.npz")
+    with nullcontext() if is_read else pytest.raises(InputError, match="expected at most"):
+        assert file.read({"times": ArraySpec(("T",))})["times"].nbytes <= 5_000
 
 
 def test_sentences_of_many_empty_lists_take_little_memory(tmp_path, motion):

@@ -22,7 +22,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import read_bytes
 from jaxmocap.formats.files.short_repr import short_name, short_repr
 
-# All arrays that are read from one file, in memory, bytes: half an hour at 200 Hz takes 500 MB.
+# All arrays that are read from one file, in memory, bytes: a million samples take 500 MB.
 MAX_ARRAY_BYTES = 768 * 2**20
 # Arrays in one file; texts in one array; characters of a name.
 MAX_ARRAYS = 1000
@@ -196,7 +196,9 @@ class NpzArrays:
             raise self._error(name, problem)
         if stated.kind == NAMES and count > MAX_NAMES:
             raise self._error(name, f"found {count} names, expected at most {MAX_NAMES}")
-        self._bytes_left -= count * (1 if stated.kind == BYTES else max(dtype.itemsize, 8))
+        # Fractions stay as they are, whole numbers take eight bytes.
+        is_kept = stated.kind == BYTES or dtype.kind == "f"
+        self._bytes_left -= count * (dtype.itemsize if is_kept else max(dtype.itemsize, 8))
         if self._bytes_left < 0:
             most = f"expected at most {MAX_ARRAY_BYTES / 2**20:g} MB of arrays"
             raise self._error(name, f"states {stored / 2**20:.0f} MB, {most} in one file")
