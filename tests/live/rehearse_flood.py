@@ -40,8 +40,8 @@ STROKE_S = 0.002
 
 def send(port: int, hz: float, seconds: float) -> None:
     """Markers of table tennis, so many samples a second; prints how many were sent."""
-    times = np.arange(0, 10, 1 / RATE_HZ)
-    performance = motions.table_tennis(10.0, 3)
+    times = np.arange(0, seconds, 1 / RATE_HZ)
+    performance = motions.table_tennis(seconds, 3)
     bones, figure = performance.bones(times), performance.figure
     points = np.stack([figure.points(bones, *on) for on in MARKERS.values()], 1)
     bundle = Bundle(
@@ -53,7 +53,7 @@ def send(port: int, hz: float, seconds: float) -> None:
     packets = [bytes(bundle.filled(at, rows)) for at, rows in zip(times, placed, strict=True)]
     sender, sent, began = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), 0, time.monotonic()
     while (elapsed := time.monotonic() - began) < seconds:
-        at = int(elapsed * RATE_HZ) % len(packets)
+        at = min(int(elapsed * RATE_HZ), len(packets) - 1)
         for _ in range(int(elapsed * hz) - sent):
             sender.sendto(packets[at], ("127.0.0.1", port))
             sent += 1
@@ -99,6 +99,7 @@ def rehearse(hz: float, seconds: float) -> None:
     silent = said.count("markers: nothing comes in")
     print(f"{sent[1] / (seconds + 5):.0f} packets a second, {figures['packets']} fetched")
     print(f"{figures['outputs']} poses, 'nothing comes in' {silent} times")
+    print(f"clocks were set {figures['clock_jumps']} times")
     assert silent == 0 and figures["outputs"] > 0
 
 

@@ -207,6 +207,34 @@ def test_under_a_flood_markers_come_in_all_the_time(line):
     assert line.socket.clock_jumps == 0
 
 
+def test_a_thread_that_has_to_wait_does_not_say_that_nothing_comes_in(line):
+    """Under a flood, or while programs compile, it may wait for more than ``SILENT_S``."""
+
+    def state(now: float) -> str:
+        return dict(stream_states(line.socket, line.gathers, [], now))["markers"]
+
+    line.bring(packet(0.0, at=1.0))
+    # Nobody has looked since.
+    assert state(1.0 + 3 * SILENT_S) == "coming in"
+    line.bring(packet(0.0, at=3.0))
+    assert state(3.0) == "coming in"
+    # Packets came in, none of them with a marker.
+    line.bring(packet(0.0, at=3.1 + SILENT_S)._replace(content=b"garbage!"))
+    assert state(3.2 + SILENT_S) == "nothing comes in"
+
+
+def test_a_socket_that_nobody_sends_to_is_silent_soon():
+    samples = []
+    with listening(samples.append) as (marker_socket, send):
+        send(packet(0.0).content)
+
+        def state() -> str:
+            return dict(stream_states(marker_socket, gathering()[0], [], 0.0))["markers"]
+
+        wait_for(lambda: state() == "coming in")
+        wait_for(lambda: state() == "nothing comes in")
+
+
 def test_of_what_may_be_read_who_sends_little_gets_all():
     assert fair_shares({"a": 1000, "b": 3, "c": 1000}, 103) == {"b": 3, "a": 50, "c": 50}
     assert fair_shares({"a": 5, "b": 5}, 1) == {"a": 1, "b": 0}

@@ -78,6 +78,7 @@ class MarkerStream(MarkerSource):
     def _listen(self) -> None:
         while not self._stop.is_set() and self.problem is None:
             try:
+                looked = self._now()
                 streams = self._lsl.resolve_byprop("name", self._name, timeout=RESOLVE_TIMEOUT_S)
                 if streams:
                     inlet = self._lsl.StreamInlet(streams[0], max_buflen=1, recover=False)
@@ -85,6 +86,8 @@ class MarkerStream(MarkerSource):
                         self._take(inlet)
                     finally:
                         inlet.close_stream()
+                else:
+                    self.last_look = looked
             except (RuntimeError, ValueError):
                 # Who sent has gone, maybe somebody comes back; or it describes itself in bytes
                 # that are not UTF-8.
@@ -94,8 +97,10 @@ class MarkerStream(MarkerSource):
         """All samples of a stream, until it is lost."""
         channels = self._channels(inlet.info(timeout=RESOLVE_TIMEOUT_S))
         while not self._stop.is_set() and self.problem is None:
+            looked = self._now()
             values, stamp = inlet.pull_sample(timeout=PULL_TIMEOUT_S)
             if values is None:
+                self.last_look = looked
                 continue
             arrived = self._now()
             self.packets += 1
@@ -112,6 +117,7 @@ class MarkerStream(MarkerSource):
             if messages:
                 self.last_arrival = arrived
                 self._assembler.add(messages, self.clock.time(arrived, stamp), arrived, True)
+            self.last_look = arrived
 
     def _channels(self, info: Any) -> dict[str, tuple[int, tuple[float, ...], bool]]:
         """Marker -> index of its x, metres per unit of x, y, z, whether its quaternion follows."""

@@ -5,6 +5,7 @@ INPUTS: a table. OUTPUTS: a thread that gives markers to a SampleAssembler.
 A protocol is a file beside this one with both, and its name in ``pipelines/live/setup.py``.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
@@ -54,6 +55,8 @@ class MarkerSource(Listener):
         hints: why -> what to do about it.
         packets: that came in.
         last_arrival: when a marker came in last, ``monotonic`` seconds; None before.
+        last_look: when what had come in until then had last been read; a thread that has to wait
+            for others says nothing about what comes in.
         problem: why nothing can come in, or None.
         refused_hosts: hosts that sent and may not, the first of them.
         who_may_send: where the live file states that.
@@ -67,6 +70,7 @@ class MarkerSource(Listener):
         super().__init__("markers", timeout_s)
         self.address, self.ignored, self.packets = address, Counter[str](), 0
         self.last_arrival: float | None = None
+        self.last_look = -math.inf
         self.problem: str | None = None
         self.refused_hosts: set[str] = set()
 

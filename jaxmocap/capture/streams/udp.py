@@ -117,8 +117,11 @@ class MarkerSocket(MarkerSource):
     def _listen(self) -> None:
         while not self._stop.is_set():
             try:
+                looked = self._now()
                 if select.select([self._socket], [], [], 0.1)[0]:
                     self.take(self._waiting())
+                else:
+                    self.last_look = looked
             except (OSError, ValueError):
                 # The socket was closed meanwhile.
                 return
@@ -165,6 +168,8 @@ class MarkerSocket(MarkerSource):
         self._bucket.take(len(chosen))
         for datagram, sender in sorted(chosen, key=lambda pair: pair[0].arrived):
             self._read(datagram, sender)
+        # Only now, so that nobody who looks meanwhile misses what came with them.
+        self.last_look = now
 
     def _read(self, datagram: Datagram, sender: PacketSender) -> None:
         try:

@@ -33,7 +33,7 @@ def stream_states(
         now: seconds.
         places: of the markers.
     """
-    yield "markers", _markers_state(markers, now)
+    yield "markers", _markers_state(markers)
     yield "missing", comma_list(gathering.missing(now)) or "none"
     yield from _orientation_states(gathering, places)
     if (rate := markers.clock_rate) is not None:
@@ -70,12 +70,13 @@ def _orientation_states(
         yield "orientations missing", comma_list(absent) or "none"
 
 
-def _markers_state(markers: MarkerSource, now: float) -> str:
+def _markers_state(markers: MarkerSource) -> str:
     if markers.problem is not None:
         return markers.problem
     if markers.last_arrival is None:
         return "waiting for the first"
-    return "nothing comes in" if now - markers.last_arrival > SILENT_S else "coming in"
+    is_silent = markers.last_look - markers.last_arrival > SILENT_S
+    return "nothing comes in" if is_silent else "coming in"
 
 
 def tenfold(count: int) -> str:
