@@ -1,7 +1,7 @@
-"""``python -m bench.memory SAMPLES [--track] [--json FILE]``: memory of long recordings.
+"""``python -m bench.memory SAMPLES [--track] [--json FILE] [--plot FILE]``: memory.
 
 INPUTS: how many samples of three markers at 90 Hz, without a video.
-OUTPUTS: a process's memory over time, GB, while the files of a motion so long are written, and
+OUTPUTS: a process's memory over time, GB, while the files of a long motion are written, and
 while it is converted to each format of markers; with ``--track`` while it is tracked as well,
 which takes hours; Metrics.
 """
@@ -9,12 +9,13 @@ which takes hours; Metrics.
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any, NamedTuple
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 from bench.command_line import command
@@ -34,6 +35,8 @@ INTERVAL_S = 0.1
 # Lines of the table over time.
 LINES = 24
 GB = 1e9
+# What a million samples may take.
+MOST_GB = 2.0
 # What a process runs: the command, and what it does once it has tracked.
 COMMAND = "from jaxmocap.cli import enter; raise SystemExit(enter())"
 WRITE = "import sys; from bench.memory import write_tracked; write_tracked(*sys.argv[1:])"
@@ -109,15 +112,28 @@ def resident_bytes(process: int) -> int:
     return 1024 * int(found[0]) if found else 0
 
 
-def over_time(uses: Sequence[Use]) -> list[str]:
-    """The most within each of ``LINES`` parts of the time, as a line of text each."""
+def over_time(uses: Sequence[Use]) -> list[Use]:
+    """The most within each of ``LINES`` parts of the time, at its end."""
     edges = np.linspace(0, uses[-1].seconds, LINES + 1)
-    lines = []
+    most = []
     for start, end in pairwise(edges):
         within = [use.bytes for use in uses if start <= use.seconds <= end]
         if within:
-            lines.append(f"{end:8.1f} s  {max(within) / GB:5.2f} GB")
-    return lines
+            most.append(Use(float(end), max(within)))
+    return most
+
+
+def draw(runs: Mapping[str, Sequence[Use]], path: str | Path) -> None:
+    """A picture of the memory that each of some runs had over its time."""
+    figure, panels = plt.subplots(
+        1, len(runs), figsize=(9, 2.8), sharey=True, layout="constrained", squeeze=False
+    )
+    for axes, (name, uses) in zip(panels[0], runs.items(), strict=True):
+        axes.stairs([use.bytes / GB for use in uses], [0.0, *(use.seconds / 60 for use in uses)])
+        axes.axhline(MOST_GB, color="0.6", linestyle=":")
+        axes.set(title=name, xlabel="minutes", ylim=(0, None))
+    panels[0][0].set_ylabel("memory, GB")
+    figure.savefig(path, dpi=110)
 
 
 def main() -> None:
@@ -126,8 +142,9 @@ def main() -> None:
     parser.add_argument("samples", type=int)
     parser.add_argument("--track", action="store_true", help="track as well")
     parser.add_argument("--json", metavar="FILE", help="write the metrics")
+    parser.add_argument("--plot", metavar="FILE", help="draw the memory over time")
     options = parser.parse_args()
-    metrics = []
+    metrics, drawn = [], {}
     with tempfile.TemporaryDirectory() as directory:
         folder = Path(directory)
         write_long(folder, options.samples)
@@ -142,10 +159,14 @@ def main() -> None:
             uses = list(watch(*run))
             most = max(use.bytes for use in uses) / GB
             print(f"{name}: {options.samples} samples, most memory {most:.2f} GB", flush=True)
-            print("\n".join(over_time(uses)), flush=True)
+            drawn[name] = over_time(uses)
+            for end in drawn[name]:
+                print(f"{end.seconds:8.1f} s  {end.bytes / GB:5.2f} GB", flush=True)
             metrics.append(Metric(f"memory: {name}, {options.samples} samples", most, "GB"))
         size = (folder / "written" / "recording.rrd").stat().st_size
         print(f"recording.rrd: {size / GB:.2f} GB")
+    if options.plot:
+        draw(drawn, options.plot)
     if options.json:
         write_json(metrics, options.json)
 
