@@ -217,7 +217,7 @@ def test_a_report_may_hold_what_is_unknown_or_unbounded(tmp_path, motion):
     [
         ({"statuses": np.array("[[]]")}, "expected a JSON list of 60 lists"),
         ({"statuses": np.array(json.dumps([[1]] * SAMPLES))}, "found [1], expected sentences"),
-        ({"statuses": np.array("[" * 5000)}, "JSON nested too deeply"),
+        ({"statuses": np.array("[" * 200_000)}, "JSON nested too deeply"),
         ({"settings": np.array("{" + '"a":{' * 200 + "}" * 201)}, "JSON nested too deeply"),
         ({"settings": np.array("3")}, "report.settings: found 3, expected a JSON table"),
         ({"settings": np.array(f'{{"a": {"9" * 5000}}}')}, "a number of thousands of digits"),
