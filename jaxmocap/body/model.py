@@ -16,6 +16,7 @@ from jaxmocap.body import arms
 from jaxmocap.body.arms import SIDES
 from jaxmocap.body.kinematics import Sites, joined_sites, landmark_sites
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.compilation.arrays import on_device
 from jaxmocap.geometry.cameras import Camera, stack_cameras
 
 # A marker on one of these parts of a leg holds the foot of its side.
@@ -201,7 +202,7 @@ def marker_sites(skeleton: Skeleton, places: Sequence[Placed]) -> Sites:
     bones = np.array([skeleton.tree.bone(place.bone) for place in places], np.int32)
     at = np.array([place.at for place in places], float)
     offsets = np.array([place.offset for place in places], float).reshape(-1, 3)
-    return Sites(bones, jnp.asarray(at, float), jnp.asarray(offsets, float))
+    return Sites(bones, on_device(at), on_device(offsets))
 
 
 def on_unmarked_feet(model: Model) -> Model:

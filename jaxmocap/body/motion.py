@@ -8,12 +8,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
+from jaxmocap.compilation.arrays import on_device
+from jaxmocap.compilation.programs import Program
 from jaxmocap.geometry.origin import local_origin
 from jaxmocap.geometry.rows import GatheredRows
 
@@ -176,10 +177,10 @@ def in_blocks(function: Callable[[Skeleton, Pose], Any], skeleton: Skeleton, pos
     gathered = GatheredRows(count)
     for first in range(0, count, size):
         rows = np.minimum(np.arange(first, first + size), count - 1)
-        filled = (jnp.asarray(np.asarray(part)[rows], float) for part in poses)
+        filled = (on_device(np.asarray(part)[rows]) for part in poses)
         gathered.put(first, jax.tree.map(np.asarray, function(skeleton, Pose(*filled))))
     return gathered.tree
 
 
 # Of the module, so that motions of one skeleton share them.
-_over_time = jax.jit(jax.vmap(landmarks, (None, 0)))
+_over_time = Program(jax.vmap(landmarks, (None, 0)), "landmarks_over_time")

@@ -13,6 +13,7 @@ from jax import Array
 from jaxmocap.body.model_files import proportions_of
 from jaxmocap.body.skeleton import JOINT_CENTRES, Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints
+from jaxmocap.compilation.arrays import Numbers, namespace
 
 
 class Proportion(NamedTuple):
@@ -60,8 +61,10 @@ GIRTHS = (
 STATURE = 0.02
 
 
-def scaled(skeleton: Skeleton, logarithms: Array) -> Skeleton:
+def scaled(skeleton: Skeleton, logarithms: Numbers) -> Skeleton:
     """The skeleton with lengths, then girths, multiplied by the exponentials of logarithms (P,).
+
+    On the host where these are NumPy's.
 
     Fewer than all are of the first: two are ``PROPORTIONS``.
     """
@@ -73,12 +76,14 @@ def scaled(skeleton: Skeleton, logarithms: Array) -> Skeleton:
     return replace(skeleton, lengths=lengths, diameters=skeleton.diameters * girths[:, None])
 
 
-def _factors(skeleton: Skeleton, proportions: tuple[Proportion, ...], logarithms: Array) -> Array:
+def _factors(
+    skeleton: Skeleton, proportions: tuple[Proportion, ...], logarithms: Numbers
+) -> Numbers:
     """One for each bone."""
     tree = skeleton.tree
     bones = np.arange(len(tree.bones))
     scales = np.array([np.isin(bones, tree.bones_in(*p.bones)) for p in proportions]).T
-    return jnp.exp(jnp.asarray(scales, skeleton.lengths.dtype) @ logarithms)
+    return namespace(logarithms).exp(scales.astype(skeleton.lengths.dtype) @ logarithms)
 
 
 def stretched(skeleton: Skeleton, points: BodyPoints, logarithms: Array) -> BodyPoints:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -25,6 +24,7 @@ from jaxmocap.body.model_files import (
     read_model,
 )
 from jaxmocap.body.tree import ROOT_DOF, Segment, Tree, with_dofs
+from jaxmocap.compilation.arrays import on_device
 
 _LANDMARKS = landmark_rows_of(HUMAN)
 # Landmark -> bone and fraction of its length from its joint.
@@ -235,7 +235,7 @@ def with_added_joints(skeleton: Skeleton, rows: list[dict]) -> Skeleton:
         skeleton,
         tree=with_dofs(skeleton.tree, rows, added=True),
         **{
-            key: jnp.concatenate([getattr(skeleton, key), column.astype(dtype)])
+            key: on_device(np.concatenate([getattr(skeleton, key), column]), dtype)
             for key, column in joint_columns(rows).items()
         },
     )
@@ -252,9 +252,7 @@ def _column(rows: list[dict], key: str, scale: float = 1.0) -> Array:
 
 
 def _numbers(values: list, scale: float = 1.0) -> Array:
-    """Converted on the host: on the device that would be a program for each shape."""
-    dtype = jax.dtypes.canonicalize_dtype(float)
-    return jnp.asarray((np.array(values, float) * scale).astype(dtype), dtype)
+    return on_device(np.array(values, float) * scale)
 
 
 def scale_to_height(
@@ -281,9 +279,7 @@ def scale_to_height(
     masses = masses * kilograms / (masses.sum() if masses.sum() > 1.001 else 1.0)
     # His masses are of his segments.
     lengths, directions = _by_stature(skeleton, height, WINTER)
-    scaled = with_girths(
-        skeleton, replace(skeleton, lengths=lengths, masses=jnp.asarray(masses, float))
-    )
+    scaled = with_girths(skeleton, replace(skeleton, lengths=lengths, masses=on_device(masses)))
     if proportions != WINTER:
         lengths, directions = _by_stature(skeleton, height, proportions)
     return replace(scaled, lengths=lengths, directions=directions)
@@ -299,7 +295,7 @@ def _by_stature(skeleton: Skeleton, height: float, proportions: str) -> tuple[Ar
     for side, left in (("l", 1.0), ("r", -1.0)):
         along = shoulder * [1.0, left, 1.0] / np.linalg.norm(shoulder)
         directions[skeleton.tree.bones_in("shoulder", side=side)] = along
-    return jnp.asarray(lengths, float), jnp.asarray(directions, float)
+    return on_device(lengths), on_device(directions)
 
 
 def _fractions(
@@ -332,5 +328,6 @@ def _fractions(
 
 def with_girths(old: Skeleton, new: Skeleton) -> Skeleton:
     """Diameters that keep each bone's density: they grow with the root of mass per length."""
-    density = jnp.sqrt((new.masses / new.lengths) / (old.masses / old.lengths))
-    return replace(new, diameters=old.diameters * density[:, None])
+    was, now = (np.asarray(each.masses) / np.asarray(each.lengths) for each in (old, new))
+    diameters = np.asarray(old.diameters) * np.sqrt(now / was)[:, None]
+    return replace(new, diameters=on_device(diameters, old.diameters.dtype))

@@ -6,7 +6,6 @@ OUTPUTS: a Skeleton of the same tree with other lengths, directions, masses, dia
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.model_files import proportions_of
@@ -20,6 +19,7 @@ from jaxmocap.body.skeleton import (
     scale_to_height,
     with_girths,
 )
+from jaxmocap.compilation.arrays import on_device
 
 # Part and side of a bone -> the landmarks at its two ends.
 _MEASURED = {
@@ -69,9 +69,7 @@ def scale_to_landmarks(skeleton: Skeleton, landmarks: dict[str, np.ndarray]) -> 
         share = lengths[members] / lengths[members].sum()
         lengths[members] = share * np.linalg.norm(vector)
         directions[members] = vector / np.linalg.norm(vector)
-    scaled = replace(
-        guess, lengths=jnp.asarray(lengths, float), directions=jnp.asarray(directions, float)
-    )
+    scaled = replace(guess, lengths=on_device(lengths), directions=on_device(directions))
     return with_girths(scale_to_height(skeleton, height, None, WINTER), scaled)
 
 

@@ -8,7 +8,6 @@ OUTPUTS: Detections, a row per frame of the video; the tracked person's own pixe
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARK_PLACES
@@ -18,7 +17,7 @@ from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoints import Detections, check_keypoint_count, read_keypoints
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, pixels_per_metre, project
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, on_host, pixels_per_metre, project
 
 # A detection further than this from where a landmark is predicted is not of that landmark.
 PERSON_GATE_M = 0.25
@@ -140,9 +139,9 @@ def select_person(
         (F, P, 2) pixels, NaN where missing, and (F, P) confidences, 0 where missing or where the
         person is not among those detected.
     """
-    depths = np.asarray(depth(camera, jnp.asarray(points_world, float)))
+    depths = depth(on_host(camera), np.asarray(points_world, float))
     depths = np.where(depths > NEAREST_M, depths, np.nan)
-    predicted_xy = np.array(project(camera, jnp.asarray(points_world, float)))
+    predicted_xy = project(on_host(camera), np.asarray(points_world, float))
     predicted_xy[np.isnan(depths)] = np.nan
     pixels_xy = np.full(keypoints.pixels_xy[:, 0].shape, np.nan)
     confidences = np.zeros(pixels_xy.shape[:-1])

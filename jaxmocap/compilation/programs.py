@@ -158,6 +158,11 @@ class Program:
         """The same, and another thread begins to compile it; what is returned waits for that."""
         return _compiler().submit(self.lowered(*like)).result
 
+    @property
+    def kinds(self) -> int:
+        """How many kinds of arguments this process has called it with, a compilation each."""
+        return self._chosen()._cache_size()
+
     def trace(self, *like: Any) -> jax.stages.Traced:
         """Traced for arguments such as these."""
         return self._chosen().trace(*self._first, *like)

@@ -21,6 +21,8 @@ from typing import Any, TypeVar, dataclass_transform
 import jax
 import jax.numpy as jnp
 
+from jaxmocap.compilation.arrays import on_device
+
 T = TypeVar("T")
 
 
@@ -95,5 +97,4 @@ def _convert(self: Any) -> None:
     for each in fields(self):
         value = getattr(self, each.name)
         if "dtype" in each.metadata and isinstance(value, int | float):
-            array = jnp.asarray(value, each.metadata["dtype"])
-            object.__setattr__(self, each.name, array)
+            object.__setattr__(self, each.name, on_device(value, each.metadata["dtype"]))

@@ -17,7 +17,7 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
-from jaxmocap.geometry.cameras import Camera, pixel_rays
+from jaxmocap.geometry.cameras import Camera, on_host, pixel_rays
 from jaxmocap.solvers.robust import shortened
 
 
@@ -47,9 +47,9 @@ def lines_of_sight(
         confidences: (T, P).
     """
     count, columns = len(pixels_xy), landmark_rows(landmarks)
-    origin = np.tile(np.asarray(camera.position_world, float), (count, 1))
+    origin = np.tile(on_host(camera).position_world, (count, 1))
     ways, sure = np.full((count, len(LANDMARKS), 3), np.nan), np.zeros((count, len(LANDMARKS)))
-    ways[:, columns] = np.asarray(pixel_rays(camera, jnp.asarray(pixels_xy, float)))
+    ways[:, columns] = pixel_rays(on_host(camera), np.asarray(pixels_xy, float))
     is_detected = np.isfinite(ways[:, columns]).all(-1)
     sure[:, columns] = np.where(is_detected, confidences, 0.0)
     return SightLines(*(np.asarray(part, np.float32)[:, None] for part in (origin, ways, sure)))

@@ -4,7 +4,8 @@ INPUTS: points in the world (metres, Z up), a Camera.
 OUTPUTS: pixels (x right, y down, centres at whole numbers), depths, rays, derivatives.
 
 All that depends on intrinsics is here: nothing else reads ``matrix`` or ``distortion``.
-What goes by components works alike with JAX and, of a camera ``on_host``, with NumPy.
+What goes by components, ``project`` and ``pixel_rays`` work alike with JAX and, of a camera
+``on_host``, with NumPy, which compiles no programs.
 """
 
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.compilation.arrays import namespace, on_device
 from jaxmocap.geometry.lenses import BROWN_CONRADY, LENSES, Component
 from jaxmocap.geometry.rotations import HIGHEST, exp, rotate
 
@@ -80,20 +82,15 @@ class Camera:
         coefficients[: given.size] = given
         if problem := lens_problem(np.asarray(size, float), np.asarray(matrix, float), given, lens):
             raise ValueError(": ".join(problem))
-        # Converted on the host: on the device that would be a program for each shape.
-        dtype = jax.dtypes.canonicalize_dtype(float)
-        return cls(
-            jnp.asarray(np.asarray(size, dtype), dtype),
-            jnp.asarray(np.asarray(matrix, dtype), dtype),
-            jnp.asarray(coefficients.astype(dtype), dtype),
-            _transform(np.asarray(rotation, dtype), np.asarray(translation, dtype)),
-            lens,
-        )
+        R, T = np.asarray(rotation, float), np.eye(4)
+        T[:3, :3], T[:3, 3] = exp(R) if R.shape == (3,) else R, translation
+        return cls(*map(on_device, (size, matrix, coefficients, T)), lens=lens)
 
     @property
-    def position_world(self) -> Array:
+    def position_world(self) -> Component:
         """(3,) the centre of projection in the world, metres."""
-        return _centre(self.T_cam_world)
+        T = self.T_cam_world
+        return -rotate(T[:3, :3].T, T[:3, 3])
 
 
 def lens_problem(
@@ -118,20 +115,6 @@ def lens_problem(
     return None
 
 
-# As one program each: step by step each step would compile by itself.
-@jax.jit
-def _centre(T_cam_world: Array) -> Array:
-    return -jnp.matmul(T_cam_world[:3, :3].T, T_cam_world[:3, 3], precision=HIGHEST)
-
-
-@jax.jit
-def _transform(rotation: Array | np.ndarray, translation: Array | np.ndarray) -> Array:
-    """(4, 4) from a Rodrigues vector (3,) or a matrix (3, 3), and a translation (3,)."""
-    R = jnp.asarray(rotation)
-    R = exp(R) if R.shape == (3,) else R
-    return jnp.eye(4, dtype=R.dtype).at[:3, :3].set(R).at[:3, 3].set(translation)
-
-
 def turned(camera: Camera, turn_cam: Array) -> Camera:
     """A camera turned about its centre by a rotation vector (3,) in its own frame, radians."""
     T = jnp.matmul(exp(turn_cam), camera.T_cam_world[:3], precision=HIGHEST)
@@ -139,11 +122,11 @@ def turned(camera: Camera, turn_cam: Array) -> Camera:
 
 
 def on_host(camera: Camera) -> Camera:
-    """The same camera, or cameras, in NumPy and double precision: calls compile no programs."""
+    """The same camera, or cameras, in NumPy and double precision."""
     return jax.tree.map(lambda leaf: np.asarray(leaf, float), camera)
 
 
-def to_camera(camera: Camera, points_world: Array) -> Array:
+def to_camera(camera: Camera, points_world: Component) -> Component:
     """Points (..., 3) of the world in the camera's frame, metres."""
     return rotate(camera.T_cam_world[:3, :3], points_world) + camera.T_cam_world[:3, 3]
 
@@ -174,14 +157,15 @@ def focal_length(camera: Camera) -> Component:
     return (camera.matrix[..., 0, 0] + camera.matrix[..., 1, 1]) / 2
 
 
-def normalise(points_cam: Array) -> Array:
+def normalise(points_cam: Component) -> Component:
     """Central projection of (..., 3) camera points onto the plane z = 1: (..., 2)."""
-    return points_cam[..., :2] / jnp.maximum(points_cam[..., 2:], NEAREST_M)
+    return points_cam[..., :2] / namespace(points_cam).maximum(points_cam[..., 2:], NEAREST_M)
 
 
-def to_pixels(camera: Camera, points_plane: Array) -> Array:
+def to_pixels(camera: Camera, points_plane: Component) -> Component:
     """Distort (..., 2) points on the plane z = 1 and apply the intrinsic matrix: pixels (x, y)."""
-    return jnp.stack(pixel_components(camera, points_plane[..., 0], points_plane[..., 1]), -1)
+    components = pixel_components(camera, points_plane[..., 0], points_plane[..., 1])
+    return namespace(points_plane).stack(components, -1)
 
 
 def pixel_components(camera: Camera, x: Component, y: Component) -> tuple[Component, Component]:
@@ -269,7 +253,7 @@ def _slopes(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array] | 
     return LENSES[camera.lens].slopes(camera.distortion, x, y)
 
 
-def project(camera: Camera, points_world: Array) -> Array:
+def project(camera: Camera, points_world: Component) -> Component:
     """Project (..., 3) world points, metres, to (..., 2) pixels (x, y); equation (11).
 
     Points behind the camera get a finite pixel; ``depth(camera, points) <= 0`` marks them.
@@ -277,14 +261,15 @@ def project(camera: Camera, points_world: Array) -> Array:
     return to_pixels(camera, normalise(to_camera(camera, points_world)))
 
 
-def pixel_rays(camera: Camera, pixels_xy: Array, iterations: int = 8) -> Array:
+def pixel_rays(camera: Camera, pixels_xy: Component, iterations: int = 8) -> Component:
     """Directions (..., 3), unit length, world frame, of the rays through (..., 2) pixels.
 
     The distortion is undone by a fixed number of iterations.
     """
     x, y = plane_components(camera, pixels_xy[..., 0], pixels_xy[..., 1], iterations)
-    rays_cam = jnp.stack([x, y, jnp.ones_like(x)], -1)
-    rays_cam = rays_cam / jnp.linalg.norm(rays_cam, axis=-1, keepdims=True)
+    xp = namespace(x)
+    rays_cam = xp.stack([x, y, xp.ones_like(x)], -1)
+    rays_cam = rays_cam / xp.linalg.norm(rays_cam, axis=-1, keepdims=True)
     return rotate(camera.T_cam_world[:3, :3].T, rays_cam)
 
 
@@ -300,5 +285,4 @@ def stack_cameras(cameras: Sequence[Camera]) -> Camera:
 
 
 def _stacked(*leaves: Array) -> Array:
-    """Stacked on the host: on the device that would be a program for each shape."""
-    return jnp.asarray(np.stack([np.asarray(leaf) for leaf in leaves]), leaves[0].dtype)
+    return on_device(np.stack([np.asarray(leaf) for leaf in leaves]), leaves[0].dtype)

@@ -7,15 +7,12 @@ A lens is a class with the methods of ``LensModel``, and its entry in ``LENSES``
 name it in ``formats/cameras/calibration.py``.
 """
 
-from types import ModuleType
-from typing import Any, Protocol
+from typing import Protocol
 
-import jax
-import jax.numpy as jnp
-import numpy as np
+from jaxmocap.compilation.arrays import Numbers, namespace
 
-# A component of points, or a lens's coefficients: NumPy on the host, a JAX array in a program.
-Component = Any
+# A component of points, or a lens's coefficients.
+Component = Numbers
 # Names in ``LENSES``.
 BROWN_CONRADY = "brown_conrady"
 FISHEYE = "fisheye"
@@ -104,7 +101,7 @@ class KannalaBrandt:
         self, k: Component, x: Component, y: Component, iterations: int
     ) -> tuple[Component, Component]:
         """See ``LensModel.undistort``; by a fixed number of Newton steps for the angle."""
-        xp = _namespace(x)
+        xp = namespace(x)
         radius, on_axis = _radius(x, y)
         angle = xp.minimum(radius, WIDEST_RAD)
         for _ in range(min(iterations, _NEWTON_STEPS)):
@@ -127,7 +124,7 @@ class KannalaBrandt:
         self, k: Component, x: Component, y: Component
     ) -> tuple[Component, Component, Component]:
         """Distances from the axis, angles from it, and by how much the distances are scaled."""
-        xp = _namespace(x)
+        xp = namespace(x)
         radius, on_axis = _radius(x, y)
         angle = xp.arctan(radius)
         return (
@@ -139,7 +136,7 @@ class KannalaBrandt:
 
 def _radius(x: Component, y: Component) -> tuple[Component, Component]:
     """Distances from the axis, 1 where that is 0 to all purposes, and where it is."""
-    xp = _namespace(x)
+    xp = namespace(x)
     squared = x * x + y * y
     on_axis = squared < _ON_AXIS**2
     return xp.sqrt(xp.where(on_axis, 1.0, squared)), on_axis
@@ -151,10 +148,6 @@ def _polynomial(k: Component, angle: Component, factors: tuple[int, int, int, in
     for coefficient, factor in zip((k[3], k[2], k[1], k[0]), factors[::-1], strict=True):
         total = squared * (factor * coefficient + total)
     return 1 + total
-
-
-def _namespace(x: Component) -> ModuleType:
-    return jnp if isinstance(x, jax.Array) else np
 
 
 LENSES: dict[str, LensModel] = {BROWN_CONRADY: BrownConrady(), FISHEYE: KannalaBrandt()}

@@ -2,17 +2,21 @@
 
 INPUTS: rotation vectors, quaternions (wxyz), axes and angles, any leading batch shape.
 OUTPUTS: the same rotation in another form; exact and differentiable at 0 and at pi.
+
+Products, ``exp`` and ``quaternion_from_matrix`` work alike with JAX and, on the host, with NumPy.
 """
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxmocap.compilation.arrays import Numbers, namespace
+
 # Products of rotations run at full float32: a GPU's TF32 would cost millimetres at the hand.
 HIGHEST = jax.lax.Precision.HIGHEST
 
 
-def compose(R_a_b: Array, R_b_c: Array) -> Array:
+def compose(R_a_b: Numbers, R_b_c: Numbers) -> Numbers:
     """Matrix product ``R_a_c`` of two (..., 3, 3) rotations, at full precision.
 
     Written out: of matrices this small a call to a product's routine costs more than the product,
@@ -22,18 +26,18 @@ def compose(R_a_b: Array, R_b_c: Array) -> Array:
     return first + second + third
 
 
-def rotate(R_a_b: Array, vectors_b: Array) -> Array:
+def rotate(R_a_b: Numbers, vectors_b: Numbers) -> Numbers:
     """Turn (..., 3) vectors from frame b into frame a, at full precision."""
     x, y, z = (R_a_b[..., i] * vectors_b[..., i, None] for i in range(3))
     return x + y + z
 
 
-def hat(vectors: Array) -> Array:
+def hat(vectors: Numbers) -> Numbers:
     """Cross-product matrices (..., 3, 3) of (..., 3) vectors: ``hat(a) @ b == cross(a, b)``."""
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    o = jnp.zeros_like(x)
-    rows = [jnp.stack([o, -z, y], -1), jnp.stack([z, o, -x], -1), jnp.stack([-y, x, o], -1)]
-    return jnp.stack(rows, -2)
+    xp, o = namespace(x), 0 * x
+    rows = [xp.stack([o, -z, y], -1), xp.stack([z, o, -x], -1), xp.stack([-y, x, o], -1)]
+    return xp.stack(rows, -2)
 
 
 def about_axis(axes: Array, angles: Array) -> Array:
@@ -43,16 +47,16 @@ def about_axis(axes: Array, angles: Array) -> Array:
     return c * jnp.eye(3, dtype=axes.dtype) + s * hat(axes) + (1 - c) * outer
 
 
-def exp(rotation_vectors: Array) -> Array:
+def exp(rotation_vectors: Numbers) -> Numbers:
     """Rodrigues' formula: (..., 3) rotation vectors, radians, to (..., 3, 3) matrices."""
-    squared = jnp.sum(rotation_vectors**2, -1)
+    xp, squared = namespace(rotation_vectors), (rotation_vectors**2).sum(-1)
     small = squared < 1e-8
-    angle = jnp.sqrt(jnp.where(small, 1.0, squared))
-    a = jnp.where(small, 1 - squared / 6, jnp.sin(angle) / angle)
-    b = jnp.where(small, 0.5 - squared / 24, (1 - jnp.cos(angle)) / angle**2)
+    angle = xp.sqrt(xp.where(small, 1.0, squared))
+    a = xp.where(small, 1 - squared / 6, xp.sin(angle) / angle)
+    b = xp.where(small, 0.5 - squared / 24, (1 - xp.cos(angle)) / angle**2)
     K = hat(rotation_vectors)
     K2 = compose(K, K)
-    return jnp.eye(3, dtype=K.dtype) + a[..., None, None] * K + b[..., None, None] * K2
+    return xp.eye(3, dtype=K.dtype) + a[..., None, None] * K + b[..., None, None] * K2
 
 
 def quaternion_exp(rotation_vectors: Array) -> Array:
@@ -90,29 +94,29 @@ def quaternion_to_matrix(quaternions: Array) -> Array:
     return jnp.eye(3, dtype=q.dtype) + 2 * w * K + 2 * compose(K, K)
 
 
-def quaternion_from_matrix(R: Array) -> Array:
+def quaternion_from_matrix(R: Numbers) -> Numbers:
     """(..., 3, 3) rotations to (..., 4) quaternions, wxyz, w >= 0.
 
     Of the four ways to divide, the one with the largest pivot is taken, so that neither the
     values nor the derivatives degrade at half turns.
     """
-    d = jnp.diagonal(R, axis1=-2, axis2=-1)
+    xp, d = namespace(R), R.diagonal(axis1=-2, axis2=-1)
     x, y, z = d[..., 0], d[..., 1], d[..., 2]
     a, b, c = R[..., 2, 1], R[..., 0, 2], R[..., 1, 0]
     e, f, g = R[..., 1, 2], R[..., 2, 0], R[..., 0, 1]
-    rows = jnp.stack(
+    rows = xp.stack(
         [
-            jnp.stack([1 + x + y + z, a - e, b - f, c - g], -1),
-            jnp.stack([a - e, 1 + x - y - z, c + g, b + f], -1),
-            jnp.stack([b - f, c + g, 1 - x + y - z, a + e], -1),
-            jnp.stack([c - g, b + f, a + e, 1 - x - y + z], -1),
+            xp.stack([1 + x + y + z, a - e, b - f, c - g], -1),
+            xp.stack([a - e, 1 + x - y - z, c + g, b + f], -1),
+            xp.stack([b - f, c + g, 1 - x + y - z, a + e], -1),
+            xp.stack([c - g, b + f, a + e, 1 - x - y + z], -1),
         ],
         -2,
     )
-    pivot = jnp.argmax(jnp.diagonal(rows, axis1=-2, axis2=-1), -1)
-    row = jnp.take_along_axis(rows, pivot[..., None, None], -2)[..., 0, :]
-    q = row / jnp.linalg.norm(row, axis=-1, keepdims=True)
-    return jnp.where(q[..., :1] < 0, -q, q)
+    pivot = rows.diagonal(axis1=-2, axis2=-1).argmax(-1)
+    row = xp.take_along_axis(rows, pivot[..., None, None], -2)[..., 0, :]
+    q = row / xp.linalg.norm(row, axis=-1, keepdims=True)
+    return xp.where(q[..., :1] < 0, -q, q)
 
 
 def log(R: Array) -> Array:

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.arms import TURNS, Arms, flesh, turn_forearm
 from jaxmocap.body.pose import Pose
+from jaxmocap.compilation.arrays import on_device
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST, compose, exp
@@ -53,9 +54,8 @@ CHORDS = 2 * np.sin(np.minimum(np.linalg.norm(TURNS[:, None] - TURNS, axis=-1), 
 def no_belief(settings: ElbowSearchSettings, pose: Pose) -> ElbowBelief:
     """Before the first image: the markers' pose is as good as its prior."""
     dtype = pose.angles.dtype
-    weights = jnp.zeros((2, len(TURNS)), dtype)
-    spread = jnp.broadcast_to(settings.elbow_prior, (2,))
-    return ElbowBelief(weights, jnp.zeros((2, 3), dtype), spread, jnp.zeros((), dtype), pose)
+    weights, turn, age = (on_device(np.zeros(n), dtype) for n in ((2, len(TURNS)), (2, 3), ()))
+    return ElbowBelief(weights, turn, jnp.broadcast_to(settings.elbow_prior, (2,)), age, pose)
 
 
 def search(

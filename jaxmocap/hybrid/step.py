@@ -27,6 +27,7 @@ from jaxmocap.body.arms import arms_of
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
+from jaxmocap.compilation.arrays import on_device
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.compilation.programs import Program
 from jaxmocap.evidence.edges import EdgeFields
@@ -105,9 +106,9 @@ def nowhere(model: Model) -> tuple[Pose, FootPlacement]:
     """What a tracker knows of a body before its first markers: ``solve_event`` places it."""
     dtype = model.dtype
     unknown, upright = np.full(3, np.nan, dtype), np.array([1, 0, 0, 0], dtype)
-    pose = Pose(jnp.asarray(unknown), jnp.asarray(upright), model.skeleton.relaxed)
-    ankles = jnp.asarray(np.zeros((2, 3), dtype))
-    return pose, FootPlacement(ankles, jnp.asarray(np.zeros((), bool)))
+    pose = Pose(on_device(unknown, dtype), on_device(upright, dtype), model.skeleton.relaxed)
+    ankles = on_device(np.zeros((2, 3)), dtype)
+    return pose, FootPlacement(ankles, on_device(False, bool))
 
 
 def solve_event(

@@ -7,10 +7,10 @@ its one static size. Origin and scale are traced, so that a moving region compil
 from typing import NamedTuple
 
 import cv2
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.compilation.arrays import namespace
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.images.edges import to_grey
 
@@ -31,15 +31,15 @@ class Region(NamedTuple):
 
 
 def region_around(
-    pixels_xy: Array, size: int, margin: Array | float, finest: float = 1.0
+    pixels_xy: Array | np.ndarray, size: int, margin: Array | float, finest: float = 1.0
 ) -> Region:
     """The window around (..., P, 2) pixels with a margin, as a fraction of their extent.
 
     Its scale is at least ``finest``: a person far away is not enlarged.
     """
-    low, high = jnp.min(pixels_xy, -2), jnp.max(pixels_xy, -2)
-    extent = jnp.max(high - low, -1) * (1 + 2 * margin)
-    scale = jnp.maximum(extent / size, finest)
+    low, high = pixels_xy.min(-2), pixels_xy.max(-2)
+    extent = (high - low).max(-1) * (1 + 2 * margin)
+    scale = namespace(pixels_xy).maximum(extent / size, finest)
     return Region(_corner((low + high) / 2, scale[..., None] * size), scale)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 import rerun as rr
 
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, on_host
 from jaxmocap.outputs.ellipses import Uncertainty, ellipses_in
 from jaxmocap.outputs.layout import TIMELINE, entity_path
 from jaxmocap.outputs.overlay import encode_jpeg
@@ -31,7 +31,7 @@ def log_camera(stream: rr.RecordingStream, name: str, camera: Camera) -> None:
     width, height = np.asarray(camera.size, int).tolist()
     T = np.asarray(camera.T_cam_world)
     entity = entity_path("world", "cameras", name)
-    centre = np.asarray(camera.position_world)
+    centre = on_host(camera).position_world
     stream.log(entity, rr.Transform3D(translation=centre, mat3x3=T[:3, :3].T), static=True)
     stream.log(
         entity,

@@ -8,13 +8,12 @@ A landmark's covariance is projected by the derivative of its pixel (first order
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from jaxmocap.body.motion import Motion, landmarks_over_time
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS
+from jaxmocap.compilation.programs import program
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, project, projection_jacobian
 from jaxmocap.outputs.scene import neighbours
 
@@ -105,7 +104,7 @@ def landmark_ellipses(
         deviations: (N, 3) standard deviations along the world's axes, metres.
     """
     dtype = camera.T_cam_world.dtype
-    at, J, depths = map(np.asarray, _projected(camera, jnp.asarray(centres, dtype)))
+    at, J, depths = map(np.asarray, _projected(camera, np.asarray(centres, dtype)))
     is_known = np.isfinite(centres).all(-1) & np.isfinite(deviations).all(-1)
     is_known &= depths > NEAREST_M
     spread = np.where(is_known[:, None, None], J * deviations[:, None, :], 0.0)
@@ -116,7 +115,7 @@ def landmark_ellipses(
     return at[:, None] + np.swapaxes(around, -1, -2), lengths[:, -1]
 
 
-@jax.jit
+@program("quick")
 def _projected(camera: Camera, points_world: Array) -> tuple[Array, Array, Array]:
     """Pixels (N, 2), their derivatives (N, 2, 3) and depths (N,) of points (N, 3)."""
     J = projection_jacobian(camera, points_world)

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 import rerun as rr
 from rerun.blueprint import Blueprint
@@ -64,7 +63,7 @@ def recording(path: Path, blueprint: Blueprint) -> Iterator[rr.RecordingStream]:
 
 def log_body(stream: rr.RecordingStream, scene: BodyScene) -> None:
     """The poses of the body of ``log_pieces``: its bones' transforms, the skeleton as lines."""
-    wxyz = np.asarray(quaternion_from_matrix(jnp.asarray(scene.R_world_bone)))
+    wxyz = quaternion_from_matrix(scene.R_world_bone)
     for i, bone in enumerate(scene.tree.bones):
         turns = np.roll(wxyz[:, i], -1, axis=-1)
         columns = rr.Transform3D.columns(translation=scene.near[:, i], quaternion=turns)

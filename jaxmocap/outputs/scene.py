@@ -16,7 +16,16 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.cones import cones
 from jaxmocap.body.tree import Tree
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, project, to_camera, to_pixels
+from jaxmocap.compilation.programs import program
+from jaxmocap.geometry.cameras import (
+    NEAREST_M,
+    Camera,
+    depth,
+    on_host,
+    project,
+    to_camera,
+    to_pixels,
+)
 from jaxmocap.geometry.outlines import outline, project_limb
 
 # Points on each straight side of an outline: smooth at 500 pixels.
@@ -81,7 +90,7 @@ def make_scene(motion: Motion) -> BodyScene:
     return BodyScene(skeleton.tree, times, R, near, far, np.asarray(skeleton.diameters) / 2)
 
 
-@jax.jit
+@program("quick")
 def _place(skeleton: Skeleton, poses: Pose) -> tuple[Array, Array, Array]:
     bones = np.arange(len(skeleton.tree.bones))
     frames = jax.vmap(forward, (None, 0))(skeleton, poses)
@@ -91,13 +100,9 @@ def _place(skeleton: Skeleton, poses: Pose) -> tuple[Array, Array, Array]:
 
 def pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
     """Pixels (..., 2) of (..., 3) world points; NaN behind the camera or where missing."""
-    return np.asarray(_pixels(camera, jnp.asarray(points_world, camera.T_cam_world.dtype)))
-
-
-@jax.jit
-def _pixels(camera: Camera, points_world: Array) -> Array:
+    camera, points_world = on_host(camera), np.asarray(points_world, float)
     ahead = depth(camera, points_world) > NEAREST_M
-    return jnp.where(ahead[..., None], project(camera, points_world), jnp.nan)
+    return np.where(ahead[..., None], project(camera, points_world), np.nan)
 
 
 def limb_outlines(
@@ -112,10 +117,10 @@ def limb_outlines(
         radii: (N, 2) metres.
     """
     dtype = camera.T_cam_world.dtype
-    return np.asarray(_outlines(camera, *(jnp.asarray(part, dtype) for part in (near, far, radii))))
+    return np.asarray(_outlines(camera, *(np.asarray(part, dtype) for part in (near, far, radii))))
 
 
-@jax.jit
+@program("quick")
 def _outlines(camera: Camera, near: Array, far: Array, radii: Array) -> Array:
     near_cam, far_cam = to_camera(camera, near), to_camera(camera, far)
     discs = project_limb(near_cam, far_cam, radii)

@@ -6,7 +6,6 @@ regions of interest.
 
 from collections.abc import Iterator
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.arms import limb_bones
@@ -91,4 +90,4 @@ def arm_regions_over_time(
     near, far = ends[:, 0, bones], ends[:, 1, bones[:, 2:]]
     points = np.concatenate([near[:, :, :2], far], 2)
     margin = float(settings.margin)
-    return region_around(jnp.asarray(pixels(camera, points)), settings.region, margin)
+    return region_around(pixels(camera, points), settings.region, margin)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.motion import Motion
@@ -27,7 +26,7 @@ from jaxmocap.formats.recordings.recording_files import input_files
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP, Z_UP, to_world
 from jaxmocap.formats.time_series.mot import write_isb, write_mot
 from jaxmocap.formats.time_series.trc import write_trc
-from jaxmocap.geometry.cameras import turned
+from jaxmocap.geometry.cameras import stack_cameras
 from jaxmocap.geometry.rows import ComputedRows
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.overlay import write_overlay
@@ -40,6 +39,7 @@ from jaxmocap.pipelines.viewer_frames import (
     viewer_frame_count,
     viewer_frames,
 )
+from jaxmocap.smoothing.problem import all_turned
 
 # Runs that write a motion into a folder replace each other's files.
 MOTION = "motion"
@@ -270,9 +270,9 @@ def with_refined_cameras(recording: Recording, motion: Motion) -> Recording:
     def refined(source: VideoSource) -> VideoSource:
         if source.camera_name not in turns_deg:
             return source
-        camera = jax.tree.map(jnp.asarray, source.camera)
-        turn_cam = jnp.asarray(np.radians(turns_deg[source.camera_name]), camera.T_cam_world.dtype)
-        return replace(source, camera=turned(camera, turn_cam))
+        turns_cam = np.radians([turns_deg[source.camera_name]])
+        cameras = all_turned(stack_cameras([source.camera]), turns_cam)
+        return replace(source, camera=jax.tree.map(lambda part: np.asarray(part)[0], cameras))
 
     return replace(recording, videos=tuple(map(refined, recording.videos)))
 

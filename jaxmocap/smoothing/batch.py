@@ -219,7 +219,7 @@ def _views(model: Model, cameras: Sequence[CameraFrames], trajectory: Trajectory
 
 def _views_of(person: Model, own: CameraFrames, poses: Pose) -> Views:
     """Grids of all of one camera's frames, of a background learned from some of them."""
-    camera, skeleton = person.camera(own.camera), person.skeleton
+    camera, skeleton = rows_of(person.cameras, own.camera), person.skeleton
     # The frames' own size: a video may be cropped against its calibration.
     drawing = Drawing.of(skeleton, camera, own.video.size, poses)
     chosen = spread(len(own.events), LEARNED_FRAMES)

@@ -35,7 +35,9 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
+from jaxmocap.compilation.arrays import on_device
 from jaxmocap.compilation.batches import in_batches
+from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.keypoints import SightLines, line_residuals
 from jaxmocap.evidence.silhouettes import (
     SilhouetteGrids,
@@ -105,7 +107,7 @@ def _off_lines(
     lines = SightLines(
         origin[:, None], directions[:, None, :, ELBOWS], confidences[:, None, :, ELBOWS]
     )
-    places = jnp.asarray(elbows.swapaxes(1, 2), float)
+    places = on_device(elbows.swapaxes(1, 2))
     off = line_residuals(places, lines, problem.settings.keypoints.deviation)
     return np.asarray(jnp.sum(off**2, (-3, -1)) / 2).swapaxes(1, 2)
 
@@ -178,7 +180,7 @@ def candidates(model: Model, settings: ElbowPathSettings, poses: Pose) -> tuple[
     return jax.vmap(of_pose)(poses)
 
 
-@jax.jit
+@program("quick")
 def _elbows(model: Model, settings: ElbowPathSettings, poses: Pose) -> tuple[Array, Array]:
     """Elbows (B, 2, K, 3) of ``candidates``, and their own costs."""
     arms, costs = candidates(model, settings, poses)
@@ -204,7 +206,7 @@ def _priced(
     chosen = tuple(each[row].astype(np.int32) for each in (left, right))
 
     def call(*batch: Any) -> Array:
-        return _views_costs(problem.model, jnp.asarray(softness, float), *batch)
+        return _views_costs(problem.model, on_device(softness), *batch)
 
     each = (*views_of(problem, trajectory._replace(turns_cam=UNTURNED)), chosen)
     (pictures,) = in_batches(call, each, VIEWS_A_CALL, workers)
@@ -212,7 +214,7 @@ def _priced(
     return costs
 
 
-@jax.jit
+@program("full")
 def _views_costs(
     model: Model,
     softness: Array,

@@ -12,7 +12,6 @@ INPUTS: poses of the markers alone. OUTPUTS: measurements.
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
@@ -21,6 +20,8 @@ from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.compilation.arrays import on_device
+from jaxmocap.compilation.programs import Program
 from jaxmocap.evidence.ground import ANKLES
 from jaxmocap.evidence.posture import UNMARKED_FACING
 from jaxmocap.evidence.terms import Measurements
@@ -41,12 +42,12 @@ TURNED_RAD = 0.5
 EVENTS_HZ = 30.0
 
 # As one program: step by step each step would compile for every number of events.
-_matrices = jax.jit(jax.vmap(quaternion_to_matrix))
+_matrices = Program(jax.vmap(quaternion_to_matrix), "matrices")
 
 
 def references(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> dict[str, np.ndarray]:
     """Measured ``upright``, ``facing`` and ``ankles`` (T, ...) of poses by the markers alone."""
-    R = np.asarray(_matrices(jnp.asarray(poses.quaternion, float)))
+    R = np.asarray(_matrices(on_device(poses.quaternion)))
     points = landmarks_over_time(skeleton, poses)
     facing = _level(averaged(R[:, :2, 0], times))
     result = {"upright": R[:, :2, 2], "facing": facing, "ankles": points[:, ANKLES]}
@@ -70,7 +71,7 @@ def facing_in_time(
         poses: (T, ...) by the markers alone.
     """
     rows = np.arange(0, len(times), _stride(times))
-    pelvis = replace(settings.pelvis, facing=jnp.asarray(TURNED_RAD / UNMARKED_FACING, float))
+    pelvis = replace(settings.pelvis, facing=on_device(TURNED_RAD / UNMARKED_FACING))
     # Markers alone tell little of lengths: they count as if each event were a view.
     lengths = settings.proportions * len(rows)
     problem = SmoothingProblem(
@@ -83,7 +84,7 @@ def facing_in_time(
     some = jax.tree.map(lambda part: np.asarray(part)[rows], poses)
     start = Trajectory(some, np.zeros(len(PROPORTIONS), model.dtype), UNTURNED)
     found = smooth_poses(problem, start, (1.0,)).trajectory.poses
-    ahead = np.asarray(_matrices(jnp.asarray(found.quaternion, float)))[:, :2, 0]
+    ahead = np.asarray(_matrices(on_device(found.quaternion)))[:, :2, 0]
     every = np.stack([np.interp(times, times[rows], column) for column in ahead.T], -1)
     return _level(every).astype(model.dtype)
 

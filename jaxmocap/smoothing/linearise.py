@@ -21,7 +21,9 @@ from threadpoolctl import threadpool_limits
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.compilation.arrays import on_device
 from jaxmocap.compilation.batches import in_batches
+from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, silhouette_fit
 from jaxmocap.evidence.terms import Measurements, Term, linearised
 from jaxmocap.geometry.cameras import Camera
@@ -134,7 +136,7 @@ class FramesFit(NamedTuple):
     jacobian: Array | np.ndarray
 
 
-@jax.jit
+@program("quick")
 def frames_fit(
     terms: Sequence[Term], model: Model, proportions: Array, poses: Pose, measured: Measurements
 ) -> FramesFit:
@@ -149,7 +151,7 @@ def frames_fit(
     return jax.vmap(of_frame)(poses, measured)
 
 
-@jax.jit
+@program("full")
 def views_fit(
     skeleton: Skeleton,
     proportions: Array,
@@ -203,7 +205,7 @@ def _over_frames(
     trajectory: Trajectory,
 ) -> list[np.ndarray]:
     """A function of batches of frames over all of them, float64."""
-    fixed = problem.settings.terms, problem.model, jnp.asarray(trajectory.proportions)
+    fixed = problem.settings.terms, problem.model, trajectory.proportions
     each = trajectory.poses, problem.measured
     return in_batches(lambda *b: call(*fixed, *b), each, FRAMES_A_CALL, workers)
 
@@ -216,11 +218,7 @@ def _over_views(
     trajectory: Trajectory,
 ) -> list[np.ndarray]:
     """A function of batches of views over all of them, float64."""
-    fixed = (
-        problem.model.skeleton,
-        jnp.asarray(trajectory.proportions),
-        jnp.asarray(softness, float),
-    )
+    fixed = problem.model.skeleton, trajectory.proportions, on_device(softness)
     each = views_of(problem, trajectory)
     return in_batches(lambda *b: call(*fixed, *b), each, VIEWS_A_CALL, workers)
 
@@ -234,6 +232,6 @@ def views_of(
     return rows_of(trajectory.poses, views.frame), rows_of(cameras, views.camera), views.grids
 
 
-def rows_of(stacked: Any, rows: np.ndarray) -> Any:
+def rows_of(stacked: Any, rows: np.ndarray | int) -> Any:
     """Some entries of each array of a pytree, on the host."""
     return jax.tree.map(lambda part: np.asarray(part)[rows], stacked)

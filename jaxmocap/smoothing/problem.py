@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from scipy.linalg import block_diag
@@ -21,6 +20,8 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.proportions import covariance_among_people, scaled
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.compilation.arrays import on_device
+from jaxmocap.compilation.programs import Program
 from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.evidence.smoothness import Smoothness, smoothness
@@ -132,11 +133,11 @@ class Trajectory(NamedTuple):
 
     def person(self, skeleton: Skeleton) -> Skeleton:
         """The skeleton with the estimated proportions."""
-        return scaled(skeleton, jnp.asarray(self.proportions))
+        return scaled(skeleton, self.proportions)
 
 
-_retract = jax.jit(jax.vmap(retract))
-_turned = jax.jit(jax.vmap(turned))
+_retract = Program(jax.vmap(retract), "retract")
+_turned = Program(jax.vmap(turned), "turned")
 
 
 def moved_by(trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray) -> Trajectory:
@@ -144,7 +145,7 @@ def moved_by(trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray) -> T
 
     Turns are so small that they add up.
     """
-    poses = jax.device_get(_retract(trajectory.poses, jnp.asarray(steps, float)))
+    poses = jax.device_get(_retract(trajectory.poses, on_device(steps)))
     lengths, turns = np.split(shared, [trajectory.proportions.size])
     moved = trajectory.proportions + lengths, trajectory.turns_cam + turns.reshape(-1, TURN)
     return Trajectory(poses, *(np.asarray(part, poses.angles.dtype) for part in moved))
@@ -155,7 +156,7 @@ def all_turned(cameras: Camera | None, turns_cam: Array | np.ndarray) -> Camera:
     assert cameras is not None
     if not len(turns_cam):
         return cameras
-    return _turned(cameras, jnp.asarray(turns_cam, cameras.T_cam_world.dtype))
+    return _turned(cameras, on_device(turns_cam, cameras.T_cam_world.dtype))
 
 
 def shared_prior(

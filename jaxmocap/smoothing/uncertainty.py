@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, landmark_mismatches
@@ -83,7 +82,7 @@ def _variances(
 def counted_once(problem: SmoothingProblem) -> SmoothingSettings:
     """Settings with errors that are alike counted once: of cells, and of what is usual."""
     silhouettes = problem.settings.silhouettes
-    cells = silhouettes.deviation * jnp.sqrt(silhouettes.redundancy)
+    cells = np.asarray(silhouettes.deviation) * np.sqrt(np.asarray(silhouettes.redundancy))
     lasting = lasting_errors(problem)
     return replace(lasting, silhouettes=replace(silhouettes, deviation=cells))
 
@@ -92,11 +91,11 @@ def lasting_errors(problem: SmoothingProblem) -> SmoothingSettings:
     """Settings whose terms with lasting errors count once for as long as people keep to habits."""
     settings, times = problem.settings, problem.times
     step = np.median(np.diff(times)) if len(times) > 1 else 1.0
-    factor = jnp.sqrt(jnp.maximum(settings.persistence / float(step), 1.0))
+    factor = np.sqrt(np.maximum(np.asarray(settings.persistence) / float(step), 1.0))
 
     def weaker(part: Any) -> Any:
         if isinstance(part, Term) and part.errors_last:
-            return jax.tree.map(lambda deviation: deviation * factor, part)
+            return jax.tree.map(lambda deviation: np.asarray(deviation) * factor, part)
         return part
 
     return jax.tree.map(weaker, settings, is_leaf=lambda part: isinstance(part, Term))

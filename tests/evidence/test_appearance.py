@@ -45,9 +45,9 @@ def test_legs_that_no_marker_holds_may_be_a_stride_aside():
 
 def test_any_number_of_poses_compiles_once():
     drawing(first(2))
-    compiled = learned._all_in_image._cache_size()
+    compiled = learned._all_in_image.kinds
     few, many = drawing(first(3)), drawing(first(COUNT))
-    assert learned._all_in_image._cache_size() == compiled
+    assert learned._all_in_image.kinds == compiled
     assert len(many.per_metre) == COUNT
     for own, expected in zip(few.discs, many.discs, strict=True):
         np.testing.assert_array_equal(own, expected[:3])

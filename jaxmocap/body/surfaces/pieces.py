@@ -108,6 +108,6 @@ def _cap(ring: np.ndarray, axis: np.ndarray) -> np.ndarray:
 
 def _plain_limbs(skeleton: Skeleton, bones: list[str]) -> dict[str, Solid]:
     """The hull of two spheres about each of some bones."""
-    reach = np.asarray(skeleton.lengths[:, None] * skeleton.directions)
+    reach = np.asarray(skeleton.lengths)[:, None] * np.asarray(skeleton.directions)
     radii, tree = np.asarray(skeleton.diameters) / 2, skeleton.tree
     return {bone: limb_solid(reach[tree.bone(bone)], radii[tree.bone(bone)]) for bone in bones}

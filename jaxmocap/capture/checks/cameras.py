@@ -90,7 +90,7 @@ def marker_visibility(
         source.camera_name,
         float(inside.mean()),
         float(points_in_image(source.camera, in_video).mean()) if len(in_video) else float("nan"),
-        float(np.linalg.norm(np.asarray(source.camera.position_world) - middle)),
+        float(np.linalg.norm(on_host(source.camera).position_world - middle)),
     )
 
 
@@ -129,7 +129,7 @@ def _camera_findings(
             fatal=True,
         )
         return
-    height, floor = float(np.asarray(source.camera.position_world)[2]), _floor(recording)
+    height, floor = float(on_host(source.camera).position_world[2]), _floor(recording)
     if height < floor - MAX_BELOW_FLOOR_M:
         yield Finding(
             "camera below the floor",

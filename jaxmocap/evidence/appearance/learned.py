@@ -24,10 +24,11 @@ from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton
 from jaxmocap.body.surfaces.cones import cones, project_cones
 from jaxmocap.body.tree import Tree
 from jaxmocap.compilation.batches import in_batches
+from jaxmocap.compilation.programs import Program
 from jaxmocap.evidence.appearance.hulls import draw_hulls
 from jaxmocap.evidence.appearance.part_mask import part_odds
 from jaxmocap.evidence.silhouettes import FOREARMS, LegGrid, SilhouetteGrids
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, pixels_per_metre, project
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, on_host, pixels_per_metre, project
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.colours import Colours, learn_colours
@@ -98,7 +99,7 @@ def in_image(skeleton: Skeleton, camera: Camera, pose: Pose) -> tuple[Discs, Arr
     return project_cones(camera, flesh), pixels_per_metre(camera, away)
 
 
-_all_in_image = jax.jit(jax.vmap(in_image, (None, None, 0)))
+_all_in_image = Program(jax.vmap(in_image, (None, None, 0)), "all_in_image")
 
 
 @dataclass(frozen=True)
@@ -200,7 +201,7 @@ class Regions(NamedTuple):
     def around(cls, skeleton: Skeleton, camera: Camera, poses: Pose) -> "Regions":
         """Those of poses (F, ...), all at one scale."""
         points = landmarks_over_time(skeleton, poses)
-        pixels = np.asarray(project(camera, jnp.asarray(points)))
+        pixels = np.asarray(project(on_host(camera), points), points.dtype)
         upper, legs = landmark_halves(skeleton.tree)
         around = _region(pixels[:, upper], CELLS, MARGIN)
         return cls(around, _region(pixels[:, legs], LEG_CELLS, LEG_MARGIN))

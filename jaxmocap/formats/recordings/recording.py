@@ -32,6 +32,7 @@ from jaxmocap.formats.recordings.subject import subject_or_default
 from jaxmocap.formats.time_series.axes import read_axes, to_world
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.tables import Markers, check_times
+from jaxmocap.geometry.cameras import on_host
 from jaxmocap.geometry.origin import local_origin
 
 
@@ -174,7 +175,7 @@ def _at_local_origin(top: TomlTable, recording: Recording) -> Recording:
     """The recording about a local origin, where the world's is far from markers or cameras."""
     places = recording.positions_world
     if not recording.places:
-        places = np.array([source.camera.position_world for source in recording.videos])
+        places = np.array([on_host(source.camera).position_world for source in recording.videos])
     origin = local_origin(places)
     if not origin.any():
         return recording

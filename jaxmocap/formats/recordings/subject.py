@@ -15,11 +15,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.skeleton import JOINT_CENTRES, LANDMARKS, Skeleton, scale_to_height, with_wrists
 from jaxmocap.body.subject import scale_to_landmarks
+from jaxmocap.compilation.arrays import on_device
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr
 from jaxmocap.formats.files.toml import TomlTable, read_toml, write_toml
@@ -135,7 +135,7 @@ def _with_bones(skeleton: Skeleton, bones: TomlTable) -> Skeleton:
         for key in stated.entries:
             columns[key][names.index(name)] = _bone_value(stated, key)
     parts: dict[str, Any] = {
-        column: jnp.asarray(columns[key], float) for key, column in _SKELETON_FIELDS.items()
+        column: on_device(columns[key]) for key, column in _SKELETON_FIELDS.items()
     }
     return replace(skeleton, **parts)
 

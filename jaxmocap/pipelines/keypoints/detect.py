@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS
@@ -26,7 +25,7 @@ from jaxmocap.formats.files.toml import read_toml_text
 from jaxmocap.formats.files.writing import write_bytes, write_text
 from jaxmocap.formats.recordings.keypoint_models import MODELS
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.geometry.cameras import Camera, depth, project
+from jaxmocap.geometry.cameras import Camera, depth, on_host, project
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.track import track
@@ -127,11 +126,9 @@ def _boxes(recording: Recording, camera: Camera, video: FrameSource) -> np.ndarr
     )
     points = np.stack([motion.joints()[name] for name in LANDMARKS], 1)
     nearest = np.abs(motion.times - video.times[:, None]).argmin(1)
-    there = jnp.asarray(points[nearest])
-    pixels = np.asarray(project(camera, there))
-    visible = np.isfinite(np.asarray(there)).all((1, 2)) & (
-        np.asarray(depth(camera, there)) > 0
-    ).all(1)
+    camera, there = on_host(camera), np.asarray(points[nearest], float)
+    pixels = project(camera, there)
+    visible = np.isfinite(there).all((1, 2)) & (depth(camera, there) > 0).all(1)
     low, high = pixels.min(1), pixels.max(1)
     wider = MARGIN * (high - low).max(1, keepdims=True)
     around = np.clip(np.hstack([low - wider, high + wider]), 0, np.tile([width, height], 2))

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.pose import Pose
@@ -18,7 +17,7 @@ from jaxmocap.capture.video import FrameSource
 from jaxmocap.evidence.keypoints import SightLines, lines_of_sight
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
-from jaxmocap.geometry.cameras import project
+from jaxmocap.geometry.cameras import on_host, project
 from jaxmocap.silhouette.first_pose import landmark_points
 from jaxmocap.silhouette.keypoint_poses import LEAST_LINES, KeypointPoses, poses_of_lines
 from jaxmocap.silhouette.settings import Settings
@@ -107,4 +106,4 @@ def _first_pixels(
     if start is None:
         return None
     points = np.asarray(landmark_points(skeleton, start))[landmark_rows(detections.landmarks)]
-    return np.asarray(project(source.camera, jnp.asarray(points, float)))
+    return project(on_host(source.camera), np.asarray(points, float))

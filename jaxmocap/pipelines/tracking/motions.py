@@ -21,6 +21,7 @@ from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.capture.filters import butterworth_low_pass
 from jaxmocap.compilation.batches import in_batches
+from jaxmocap.compilation.programs import program
 from jaxmocap.pipelines.tracking import warnings
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.smoothing.fixed_lag import SmoothedPose
@@ -151,7 +152,7 @@ def _warnings(
     return before + tuple(listed)
 
 
-@jax.jit
+@program("quick")
 def _compared(
     model: Model, person: Skeleton, poses: Pose, alone: Pose, targets: Array
 ) -> tuple[Array, Array]:
