@@ -8,6 +8,7 @@ them short. OUTPUTS: what took how long; exit 1 with the cell's own error where 
 """
 
 import argparse
+import os
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
@@ -53,6 +54,10 @@ def main() -> int:
     parser.add_argument("names", nargs="*", default=[""], help="beginnings of notebooks' names")
     parser.add_argument("--write", action="store_true", help="store the outputs")
     asked = parser.parse_args()
+    if os.environ.get("JAXMOCAP_QUICK"):
+        # Much is compiled then and little of it computed. Optimised, as users run it, the benchmark
+        # runs it.
+        os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
     notebooks = sorted(Path(__file__).parent.glob("*.ipynb"))
     paths = [path for path in notebooks if path.name.startswith(tuple(asked.names))]
     # Much of a notebook's time one core waits for the compiler.

@@ -14,7 +14,7 @@ os.environ.setdefault(
 )
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 # Much is compiled and little of it computed: without optimisation, compiling takes a third of the
-# time. What users run, optimised, the notebooks and the benchmark run.
+# time. What users run, optimised, the benchmark runs.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 # As compilation/programs.py asks for, and without threads: there is one worker to a core. A release
 # that does not know the flags would not start.
