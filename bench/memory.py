@@ -65,9 +65,9 @@ def write_long(folder: Path, samples: int) -> None:
     shape = samples, len(LANDMARKS)
     report = Report(
         markers=tuple(MARKERS),
-        marker_errors=np.full((samples, len(MARKERS)), 0.002),
+        marker_errors=np.full((samples, len(MARKERS)), 0.002, np.float32),
         arm_costs=np.full((samples, 2), np.nan, np.float32),
-        swivels=np.zeros((samples, 2)),
+        swivels=np.zeros((samples, 2), np.float32),
         landmarks_std=np.full((*shape, 3), 0.05, np.float32),
         from_prior=np.zeros(shape, np.float32),
         statuses=((),) * samples,

@@ -18,7 +18,7 @@ from small_recording import (
 )
 
 from jaxmocap.body.model import Model
-from jaxmocap.body.motion import Motion
+from jaxmocap.body.motion import SAMPLED, Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.capture.video import open_video
 from jaxmocap.cli.recording_options import select_cameras, with_height
@@ -161,6 +161,14 @@ def test_the_stages_of_live_steps_are_timed_event_by_event(causal):
     assert not {"observe", "refine"} & set(times)
     assert len(times["sample"]) == len(times["solve"]) - frames and "carry" not in times
     assert (times["frame"] >= times["decode"] + times["solve"].min()).all()
+
+
+def test_what_is_kept_of_each_sample_is_in_single_precision(tracked, spoilt):
+    """A million samples would else take more memory than they may, and no file could be read."""
+    for motion in (tracked.motion, tracked.markers_only, spoilt[1]):
+        report = motion.report
+        kept = [*motion.poses, *(getattr(report, name) for name in SAMPLED if report is not None)]
+        assert {np.asarray(part).dtype for part in kept} == {np.dtype(np.float32)}
 
 
 def test_the_report_holds_the_trackers_settings(tracked):

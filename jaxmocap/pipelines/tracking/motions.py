@@ -109,7 +109,11 @@ def motions(
         "landmarks_std": trajectory.deviations,
         "from_prior": trajectory.from_prior,
     }
-    columns = {name: _at_samples(events, values) for name, values in columns.items()}
+    # In the model's precision: of a million samples twice that would be too much for memory.
+    columns = {
+        name: _at_samples(events, np.asarray(values, model.dtype))
+        for name, values in columns.items()
+    }
     report = Report(
         markers=events.recording.marker_names,
         **columns,
