@@ -29,6 +29,9 @@ LARGEST_DISTORTION, LARGEST_TANGENTIAL = 1e6, 100.0
 # Points nearer than this to the camera's plane, or behind it, are projected as if they lay here.
 NEAREST_M = 0.05
 
+# Fields of view of cameras without distortion, along the longer side, degrees.
+LEAST_FOV_DEG, MOST_FOV_DEG = 5.0, 150.0
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -91,6 +94,26 @@ class Camera:
         """(3,) the centre of projection in the world, metres."""
         T = self.T_cam_world
         return -rotate(T[:3, :3].T, T[:3, 3])
+
+
+def camera_of_fov(size: tuple[float, float], fov_deg: float) -> Camera:
+    """A camera without distortion at the world's origin, by its field of view.
+
+    Args:
+        size: width and height, pixels.
+        fov_deg: along the longer side, degrees.
+
+    Raises:
+        ValueError: no camera has that field of view.
+    """
+    if not LEAST_FOV_DEG <= fov_deg <= MOST_FOV_DEG:
+        expected = f"expected {LEAST_FOV_DEG:g} to {MOST_FOV_DEG:g} degrees"
+        raise ValueError(f"found {fov_deg:g}, {expected}")
+    width, height = size
+    focal = max(width, height) / 2 / np.tan(np.radians(fov_deg) / 2)
+    centre = (width - 1) / 2, (height - 1) / 2
+    matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
+    return Camera.create((width, height), matrix)
 
 
 def lens_problem(

@@ -79,7 +79,7 @@ def _run(options: argparse.Namespace) -> None:
     from jaxmocap.formats.recordings.recording import load_recording
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.planning.plan import plan_cameras
-    from jaxmocap.pipelines.planning.wishes import Wishes
+    from jaxmocap.pipelines.planning.requirements import Requirements
 
     if options.cameras > MOST_CAMERAS:
         raise InputError("--cameras", f"found {options.cameras}, expected 1 to {MOST_CAMERAS}")
@@ -89,13 +89,13 @@ def _run(options: argparse.Namespace) -> None:
     if options.out:
         check_picture(options.out, files_read(options))
     keep_compiled()
-    wishes = Wishes(
+    required = Requirements(
         tuple(options.joints), options.cameras, options.room, options.heights, options.fov,
         options.rate,
     )  # fmt: skip
     plan = plan_cameras(
         load_recording(options.recording) if options.recording else None,
-        wishes,
+        required,
         movement=options.movement or MOVEMENTS[0],
         height=options.height or 1.75,
         progress=True,

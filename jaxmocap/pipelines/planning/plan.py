@@ -2,7 +2,7 @@
 
     who moves ── information of markers and priors ── best places, one after the other ── results
 
-INPUTS: a Recording or the name of a movement and a height; Wishes. OUTPUTS: a CameraPlan.
+INPUTS: a Recording or the name of a movement and a height; Requirements. OUTPUTS: a CameraPlan.
 """
 
 from collections.abc import Sequence
@@ -25,6 +25,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.pipelines.planning.requirements import Requirements, fov_deg
 from jaxmocap.pipelines.planning.results import CameraPlan
 from jaxmocap.pipelines.planning.subject import (
     MOVEMENTS,
@@ -35,7 +36,6 @@ from jaxmocap.pipelines.planning.subject import (
     recorded_subject,
     settings_for,
 )
-from jaxmocap.pipelines.planning.wishes import Wishes, fov_deg
 from jaxmocap.pipelines.progress import Progress, progress_bar
 
 # What else could be worn -> the landmarks that it holds.
@@ -48,7 +48,7 @@ TRACKERS = {
 
 def plan_cameras(
     recording: Recording | None,
-    wishes: Wishes | None = None,
+    required: Requirements | None = None,
     *,
     movement: str = "tennis",
     height: float = 1.75,
@@ -62,18 +62,18 @@ def plan_cameras(
 
     Args:
         recording: whose markers show the movement, and whose cameras stand already; None draws one.
-        wishes: joints, walls, lens.
+        required: joints, walls, lens.
         movement: drawn where there is no recording, one of ``MOVEMENTS``.
         height: of that person, metres.
         settings: of the tracker.
         progress: see ``track``.
 
     Raises:
-        InputError: a recording without markers, or one that is too short; wishes that leave no
-            place.
+        InputError: a recording without markers, or one that is too short; requirements that
+            leave no place.
     """
-    wishes, settings = wishes or Wishes(), settings or Settings()
-    bounds, rows = wishes.bounds(), landmark_rows(wishes.landmarks())
+    required, settings = required or Requirements(), settings or Settings()
+    bounds, rows = required.bounds(), landmark_rows(required.landmarks())
     weights = np.zeros(len(LANDMARKS), np.float32)
     weights[rows] = 1 / len(rows)
     if recording is None:
@@ -84,12 +84,12 @@ def plan_cameras(
         subject = drawn_subject(performance, height)
     else:
         subject = recorded_subject(recording, settings, progress)
-    lens, zoom = wishes.lens(subject.cameras)
+    lens, zoom = required.lens(subject.cameras)
     bounds = bounds._replace(largest=bounds.largest._replace(zoom=zoom))
     model, skeleton = subject.model, subject.model.skeleton
     moments = movement_of(subject)
     smoothing = settings_for(model, settings.smoothing, moments)
-    rate, weights = jnp.asarray(wishes.rate), jnp.asarray(weights)
+    rate, weights = jnp.asarray(required.rate), jnp.asarray(weights)
 
     def with_cameras(information: Information, cameras: Sequence[Camera]) -> Information:
         for camera in cameras:
@@ -104,13 +104,13 @@ def plan_cameras(
     goal = Goal(skeleton, smoothing, information, frame, lens, rate, weights)
     best, rings, placed, stature = [], [], [], skeleton_stature(skeleton)
     with progress_bar("placing cameras", progress, "compiling") as show:
-        for number in range(wishes.cameras):
+        for number in range(required.cameras):
 
             def of_ring(share: float, before: int = 2 * number) -> None:
-                show(round(50 * (before + share)), 100 * wishes.cameras)
+                show(round(50 * (before + share)), 100 * required.cameras)
 
             def of_descent(share: float, before: int = 2 * number + 1) -> None:
-                show(round(50 * (before + share)), 100 * wishes.cameras)
+                show(round(50 * (before + share)), 100 * required.cameras)
 
             rings.append(ring_about(goal, bounds, stature, of_ring))
             best.append(best_place(goal, bounds, rings[-1], of_descent))
@@ -122,7 +122,7 @@ def plan_cameras(
             of_more = of_markers(more.model, smoothing, movement_of(more))
             with_trackers[name] = error_of(of_more, placed[:1])
     return CameraPlan(
-        joints=wishes.joints,
+        joints=required.joints,
         markers_alone=error_of(information),
         present=error_of(information, subject.cameras) if subject.cameras else None,
         best=tuple(best),

@@ -18,7 +18,7 @@ from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.recordings.recording import Recording, write_recording
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, camera_of_fov
 from jaxmocap.pipelines.keypoints.detect import Detector, detect_keypoints
 from jaxmocap.pipelines.progress import Progress
 
@@ -26,8 +26,6 @@ CAMERA = "camera"
 RECORDING, CALIBRATION, KEYPOINTS = "recording.toml", "calibration.toml", "keypoints"
 # What phones and webcams show along the longer side, degrees.
 USUAL_FOV_DEG = 62.0
-# Such as nobody has.
-LEAST_FOV_DEG, MOST_FOV_DEG = 5.0, 150.0
 # A picture on film is so wide, millimetres: what focal lengths "as of 35 mm film" refer to.
 FILM_MM = 36.0
 # Until the person shows where the camera is.
@@ -104,14 +102,10 @@ def _lens(video: Video, fov_deg: float | None) -> tuple[Camera, list[str]]:
         stated = USUAL_FOV_DEG
         usual = f"a field of view of {stated:g} degrees along the longer side was taken"
         warnings.append(f"{video.name} states no lens: {usual}, --fov states another")
-    if not LEAST_FOV_DEG <= stated <= MOST_FOV_DEG:
-        expected = f"expected {LEAST_FOV_DEG:g} to {MOST_FOV_DEG:g} degrees"
-        raise InputError("--fov", f"found {stated:g}, {expected}")
-    width, height = video.size
-    focal = max(width, height) / 2 / np.tan(np.radians(stated) / 2)
-    centre = (width - 1) / 2, (height - 1) / 2
-    matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
-    return Camera.create((width, height), matrix), warnings
+    try:
+        return camera_of_fov(video.size, stated), warnings
+    except ValueError as error:
+        raise InputError("--fov", str(error)) from None
 
 
 def file_fov_deg(video: Video) -> float | None:

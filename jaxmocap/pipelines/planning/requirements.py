@@ -12,15 +12,14 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.fitting.camera_plan import placement
 from jaxmocap.fitting.camera_plan.placement import Bounds, CameraPlace
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, camera_of_fov
 
 # Of a usual camera, pixels; its field of view along the longer side, degrees.
 SIZE, FOV_DEG = (640, 480), 60.0
-LEAST_FOV_DEG, MOST_FOV_DEG = 20.0, 120.0
 
 
 @dataclass(frozen=True)
-class Wishes:
+class Requirements:
     """What a plan is for, and what it must keep to.
 
     Attributes:
@@ -93,23 +92,15 @@ class Wishes:
             InputError: no camera has that field of view.
         """
         if self.fov_deg is None:
-            return (cameras[0] if cameras else usual_camera(FOV_DEG)), 0.0
-        size = np.asarray(cameras[0].size) if cameras else SIZE
-        for fov in self.fov_deg:
-            if not LEAST_FOV_DEG <= fov <= MOST_FOV_DEG:
-                expected = f"expected {LEAST_FOV_DEG:g} to {MOST_FOV_DEG:g} degrees"
-                raise InputError("--fov", f"found {fov:g}, {expected}")
-        wide, narrow = (np.tan(np.radians(f(self.fov_deg)) / 2) for f in (max, min))
-        return usual_camera(max(self.fov_deg), size), float(np.log(wide / narrow))
-
-
-def usual_camera(fov_deg: float, size: Sequence[float] | np.ndarray = SIZE) -> Camera:
-    """A camera without distortion, by its field of view along the longer side, degrees."""
-    width, height = (float(each) for each in size)
-    focal = max(width, height) / 2 / np.tan(np.radians(fov_deg) / 2)
-    centre = (width - 1) / 2, (height - 1) / 2
-    matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
-    return Camera.create((width, height), matrix)
+            return (cameras[0] if cameras else camera_of_fov(SIZE, FOV_DEG)), 0.0
+        width, height = map(float, cameras[0].size) if cameras else SIZE
+        try:
+            lenses = [camera_of_fov((width, height), fov) for fov in sorted(self.fov_deg)]
+        except ValueError as error:
+            raise InputError("--fov", str(error)) from None
+        # The narrower field of view is the longer focal length.
+        zoom = np.log(float(lenses[0].matrix[0, 0] / lenses[-1].matrix[0, 0]))
+        return lenses[-1], float(zoom)
 
 
 def fov_deg(camera: Camera) -> float:
