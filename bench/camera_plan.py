@@ -21,7 +21,7 @@ from bench.clips import ELBOWS, MOTIONS
 from bench.command_line import command
 from bench.metrics import Metric, table, write_json
 from jaxmocap.body.skeleton import ELBOWS as ELBOW_ROWS
-from jaxmocap.body.skeleton import LANDMARKS, WINTER
+from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.plots import new_panels, save_figure
 from jaxmocap.fitting.camera_plan.expected import of_markers, with_camera
@@ -33,13 +33,11 @@ from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.planning.subject import drawn_subject, movement_of, settings_for
 from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.synthetic.drawing_camera import look_at
-from jaxmocap.synthetic.people.clothed_person import MARKERS, clothed_actor
+from jaxmocap.synthetic.people.clothed_person import clothed_actor
 from jaxmocap.synthetic.placement import RotatedMover
 from jaxmocap.synthetic.recording import (
-    MARKER_RATE,
     VIDEO_RATE,
-    RecordingParts,
-    marker_places,
+    recording_parts,
     video_times,
     write_parts,
 )
@@ -95,16 +93,7 @@ def filmed(folder: Path, movement: str, seed: int, place: Place) -> Path:
     if (path / "recording.toml").is_file():
         return path
     performance = MOTIONS[movement](SECONDS, seed, place.azimuth)
-    times = np.arange(int(SECONDS * MARKER_RATE)) / MARKER_RATE
-    bones, figure = performance.bones(times), performance.figure
-    parts = RecordingParts(
-        times,
-        markers={name: figure.points(bones, *on) for name, on in MARKERS.items()},
-        landmarks=figure.landmarks(bones),
-        camera=place.camera(place.azimuth),
-        places=marker_places(),
-        subject={"height": figure.height, "proportions": WINTER},
-    )
+    parts = recording_parts(performance, SECONDS, place.camera(place.azimuth))
     # The room is furnished behind the person, as the camera at azimuth 0 sees it.
     mover = RotatedMover(clothed_actor(performance, seed, 1), place.azimuth)
     scene = Scene.in_room(place.camera(0.0), mover, seed, True)

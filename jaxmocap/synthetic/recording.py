@@ -110,19 +110,25 @@ def write_performance(
     detail: int = 1,
 ) -> Path:
     """Write the recording of any performance, seen by one camera; see ``write_table_tennis``."""
-    times = np.arange(int(seconds * MARKER_RATE)) / MARKER_RATE
-    bones, figure = performance.bones(times), performance.figure
-    parts = RecordingParts(
-        times,
-        markers={name: figure.points(bones, *on) for name, on in MARKERS.items()},
-        landmarks=figure.landmarks(bones),
-        camera=webcam() if azimuth is None else camera_at(azimuth),
-        places=marker_places(),
-        subject={"height": figure.height, "proportions": WINTER},
-    )
+    camera = webcam() if azimuth is None else camera_at(azimuth)
+    parts = recording_parts(performance, seconds, camera)
     shown = scene(performance, seed, azimuth, furnished, detail)
     frames = render_frames(shown, video_times(seconds), progress)
     return write_parts(Path(directory), parts, frames, seed)
+
+
+def recording_parts(performance: Performance, seconds: float, camera: Camera) -> RecordingParts:
+    """What headset and controllers measure of a performance that a camera films."""
+    times = np.arange(int(seconds * MARKER_RATE)) / MARKER_RATE
+    bones, figure = performance.bones(times), performance.figure
+    return RecordingParts(
+        times,
+        markers={name: figure.points(bones, *on) for name, on in MARKERS.items()},
+        landmarks=figure.landmarks(bones),
+        camera=camera,
+        places=marker_places(),
+        subject={"height": figure.height, "proportions": WINTER},
+    )
 
 
 def webcam() -> Camera:

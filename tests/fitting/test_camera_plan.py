@@ -11,6 +11,7 @@ from scipy.optimize import approx_fprime
 
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS
 from jaxmocap.cli.program import main
+from jaxmocap.cli.setup import plan
 from jaxmocap.fitting.camera_plan.expected import of_markers
 from jaxmocap.fitting.camera_plan.placement import (
     Bounds,
@@ -207,6 +208,10 @@ def test_what_cannot_be_planned_is_refused_in_a_sentence(
     monkeypatch.chdir(tmp_path)
     assert main(["plan", *options]) == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_the_command_names_all_movements():
+    assert tuple(MOVEMENTS) == plan.MOVEMENTS
 
 
 def test_pairs_of_joints_have_a_plural():

@@ -68,7 +68,7 @@ def free_port() -> int:
 
 
 def rehearse(hz: float, seconds: float) -> None:
-    """Start everything, count what the run said."""
+    """Start everything, count the run's messages."""
     folder, port = Path(tempfile.mkdtemp(prefix="flood-")), free_port()
     places = [
         f'{name} = {{ bone = "{bone}", at = {at}, offset = {list(offset)} }}'
@@ -95,8 +95,8 @@ def rehearse(hz: float, seconds: float) -> None:
     assert live.wait() == 0
     sent = [int(sender.communicate()[0]) for sender in senders]
     figures = json.loads(figures_file.read_text())
-    said = [each["what"] for each in figures["warnings"]]
-    silent = said.count("markers: nothing comes in")
+    messages = [each["what"] for each in figures["warnings"]]
+    silent = messages.count("markers: nothing comes in")
     print(f"{sent[1] / (seconds + 5):.0f} packets a second, {figures['packets']} fetched")
     print(f"{figures['outputs']} poses, 'nothing comes in' {silent} times")
     print(f"clocks were set {figures['clock_jumps']} times")

@@ -129,13 +129,13 @@ def test_a_head_that_jumps_is_reported_while_it_runs(tmp_path, monkeypatch):
 def test_every_tenfold_of_samples_beyond_reach_is_a_state_and_few_are_none():
     recording = small_recording()
     state, points = ReachState(recording.skeleton, recording.places), recording.positions_world
-    seen = []
+    states = []
     for i in range(20 * MIN_SAMPLES):
         sample = points[i % len(points)].copy()
         sample[0, 2] += 90.0 * (i % 2)
         state.add(MarkerSample(i / 90, sample, i / 90))
-        seen.append(state.state)
-    assert not any(seen[: 2 * MIN_SAMPLES - 1]) and len(set(seen)) == 3
+        states.append(state.state)
+    assert not any(states[: 2 * MIN_SAMPLES - 1]) and len(set(states)) == 3
     still = ReachState(recording.skeleton, recording.places)
     for sample in points:
         still.add(MarkerSample(0.0, sample, 0.0))

@@ -234,8 +234,8 @@ def test_without_video_the_markers_are_tracked_alone():
     # Three points say little of the elbows, and the report says so.
     unsure = {f"{side} elbow: not determined within 15 cm" for side in ("left", "right")}
     assert {sentence for each in motion.report.statuses for sentence in each} <= unsure
-    said = np.array([len(each) for each in motion.report.statuses])
-    np.testing.assert_array_equal(said, (motion.report.elbow_deviations > 0.15).sum(1))
+    counts = np.array([len(each) for each in motion.report.statuses])
+    np.testing.assert_array_equal(counts, (motion.report.elbow_deviations > 0.15).sum(1))
 
 
 # What is missing ---------------------------------------------------------------------------------

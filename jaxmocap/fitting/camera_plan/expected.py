@@ -78,7 +78,7 @@ def of_markers(model: Model, settings: SmoothingSettings, movement: Movement) ->
     """The information of markers and priors, without any camera.
 
     Args:
-        model: of the person and the markers; its bones are taken as known.
+        model: of the person and the markers; its bones are taken as they are.
         settings: whose errors that are alike count once (``uncertainty.counted_once``).
         movement: of the person.
     """

@@ -146,8 +146,8 @@ def camera_at(lens: Camera, frame: Frame, place: CameraPlace) -> Camera:
 def expected_error(goal: Goal, place: CameraPlace) -> Array:
     """The weighted landmarks' deviation in the mean over the movement, (), metres."""
     camera = camera_at(goal.lens, goal.frame, place)
-    seen = with_camera(goal.skeleton, goal.settings, goal.information, camera, goal.rate)
-    return mean_deviation(goal.settings, seen, goal.weights)
+    filmed = with_camera(goal.skeleton, goal.settings, goal.information, camera, goal.rate)
+    return mean_deviation(goal.settings, filmed, goal.weights)
 
 
 @jax.jit

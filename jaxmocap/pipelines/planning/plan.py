@@ -6,6 +6,7 @@ INPUTS: a Recording or the name of a movement and a height; Requirements. OUTPUT
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -106,13 +107,11 @@ def plan_cameras(
     with progress_bar("placing cameras", progress, "compiling") as show:
         for number in range(required.cameras):
 
-            def of_ring(share: float, before: int = 2 * number) -> None:
+            def show_share(before: int, share: float) -> None:
                 show(round(50 * (before + share)), 100 * required.cameras)
 
-            def of_descent(share: float, before: int = 2 * number + 1) -> None:
-                show(round(50 * (before + share)), 100 * required.cameras)
-
-            rings.append(ring_about(goal, bounds, stature, of_ring))
+            rings.append(ring_about(goal, bounds, stature, partial(show_share, 2 * number)))
+            of_descent = partial(show_share, 2 * number + 1)
             best.append(best_place(goal, bounds, rings[-1], of_descent))
             placed.append(camera_at(lens, frame, best[-1].place))
             goal = goal._replace(information=with_cameras(goal.information, placed[-1:]))
