@@ -242,8 +242,7 @@ class HybridTracker:
 
     def _solving(self) -> Callable[[], Callable]:
         """What waits for ``solve``, which compiles beside from the first time on."""
-        like = (*nowhere(self.model), self._like())
-        return self._beside("solve", lambda: (SOLVE, like))
+        return self._beside("solve", lambda: (SOLVE, (*nowhere(self.model), self._like())))
 
     def _balancing(self) -> Callable[[], Callable]:
         """What waits for the factors of the balance heuristic, likewise."""

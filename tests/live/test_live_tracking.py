@@ -33,6 +33,12 @@ class State(NamedTuple):
     time: float | None
 
 
+class Report(NamedTuple):
+    placed: bool
+    elbow_deviations: np.ndarray
+    marker_pose: Pose
+
+
 class Tracker:
     """Keeps its steps; its state is the time of the last of them."""
 
@@ -50,14 +56,11 @@ class Tracker:
     def step(self, state, time, markers_world, images):
         self.steps.append((time, markers_world, images))
         self.elapsed = None if state.time is None else time - state.time
-        report = SimpleNamespace(placed=False, elbow_deviations=np.array([0.02, 0.04]))
-        return State(time), POSE, report
+        return State(time), POSE, Report(False, np.array([0.02, 0.04]), POSE)
 
     def solve(self, state, markers_world):
         self.solved.append(markers_world)
-        unknown = np.full(2, np.nan)
-        report = SimpleNamespace(placed=False, elbow_deviations=unknown, marker_pose=POSE)
-        return state, POSE, report
+        return state, POSE, Report(False, np.full(2, np.nan), POSE)
 
 
 class Smoother:

@@ -46,8 +46,8 @@ HEARTBEAT_S = 0.25
 THREAD_SWITCH_S = 5e-4
 # While programs are made ready; the times are those of a first run on two cores.
 COMPILING_FIRST = (
-    "getting ready (a first run compiles for about 10 s, later ones do not); what comes in until "
-    "then is not tracked"
+    "getting ready (a first run compiles for up to half a minute, later ones do not); what comes "
+    "in until then is not tracked"
 )
 COMPILING_VIDEO = "poses come from the markers alone until the video's part is ready"
 COMPILING_REST = "poses come; getting the rest ready"

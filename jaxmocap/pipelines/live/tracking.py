@@ -237,8 +237,9 @@ class LiveTracking:
         return self._taken(self.tracker.solve(self._state, markers_world))
 
     def _taken(self, step: tuple[State, Pose, StepReport]) -> tuple[Pose, StepReport]:
-        """What the tracker found; its state is kept."""
-        self._state, pose, report = jax.device_get(step)
+        """What the tracker found; its state is kept, where the next step wants it."""
+        self._state, *found = step
+        pose, report = jax.tree.map(np.asarray, found)
         self.placements += bool(report.placed)
         return pose, report
 
