@@ -38,10 +38,15 @@ def about(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
 
 def matrices(quaternions: np.ndarray) -> np.ndarray:
     """Rotations (..., 3, 3) of (..., 4) wxyz; NaN where unknown."""
-    is_finite = np.isfinite(quaternions.sum(-1, keepdims=True))
-    safe = np.where(is_finite, quaternions, [1.0, 0, 0, 0]).reshape(-1, 4)
-    R = Rotation.from_quat(safe, scalar_first=True).as_matrix()
-    return np.where(is_finite[..., None], R.reshape(*is_finite.shape[:-1], 3, 3), np.nan)
+    # By hand: SciPy's way takes six times as long for one sample of a live run.
+    w, x, y, z = np.moveaxis(np.asarray(quaternions, float), -1, 0)
+    twice = 2 / (w * w + x * x + y * y + z * z)
+    rows = [
+        [1 - twice * (y * y + z * z), twice * (x * y - w * z), twice * (x * z + w * y)],
+        [twice * (x * y + w * z), 1 - twice * (x * x + z * z), twice * (y * z - w * x)],
+        [twice * (x * z - w * y), twice * (y * z + w * x), 1 - twice * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def quaternions(R: np.ndarray) -> np.ndarray:

@@ -1,14 +1,17 @@
 """Smoothing while it happens: each pose waits for two more video frames, and no longer.
 
 The same terms as over a whole recording, over the newest frames alone; earlier ones are condensed
-into a marginal prior. What changes behind a pose that was given out fades in, so that the track
-does not jump (``fading``).
+into a marginal prior. Marker samples that follow closely lie between two poses of that window, and
+near their markers. What changes behind a pose that was given out fades in, so that the track does
+not jump (``fading``).
 
     tracker = HybridTracker(skeleton, [camera], settings, marker_names)
     state = tracker.init(markers)
     smoother = FixedLagSmoother(tracker.model, settings.smoothing)
     for time, markers, image in ...:  # NaN and None where there is nothing new
-        state, _, report = tracker.solve(state, markers)
+        report = None
+        if not smoother.lies_between(time, [image]):
+            state, _, report = tracker.solve(state, markers)
         for final in smoother.step(time, markers, [image], report):
             ...  # final.number, final.time, final.pose, final.deviations
     last = smoother.flush()
@@ -27,7 +30,6 @@ from threadpoolctl import ThreadpoolController
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import landmark_rows
-from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearance
 from jaxmocap.smoothing.facing import RunningFacing
 from jaxmocap.smoothing.settings import SmoothingSettings
@@ -35,11 +37,13 @@ from jaxmocap.smoothing.uncertainty import landmark_deviations
 from jaxmocap.smoothing.window.equations import WindowEquations
 from jaxmocap.smoothing.window.events import (
     FADED_M,
+    GivenPose,
     ReportedStep,
     StepReported,
     WindowEvent,
+    any_image,
     expected_at,
-    moved_near_markers,
+    given_poses,
     offsets,
 )
 from jaxmocap.smoothing.window.sliding import SOFTNESS, Window, stacked
@@ -53,8 +57,11 @@ DELAY_S = 0.1
 KEPT_FRAMES = 3
 # for so many seconds at most.
 KEPT_S = 0.2
+# A marker sample is an event of the window so many seconds after the last one; others lie between.
+# A pose accelerates by 30 m/s^2 at most: 1 mm. Headsets bring three samples to a video frame.
+EVENT_S = 0.015
 # Events that wait for the next video frame before the window is solved without one,
-MOST_WAITING = 6
+MOST_WAITING = 10
 # and where no event of the window has one: nothing more is to come.
 MOST_WAITING_UNSEEN = 2
 # Deviations are found at one video frame in so many, and hold until the next one.
@@ -125,6 +132,8 @@ class FixedLagSmoother:
         # Number and pose of the event given out last.
         self._last_given: tuple[int, Pose] | None = None
         self._waiting: list[ReportedStep] = []
+        # Samples between events that were not given out yet: number, time, (M, 3) markers.
+        self._between: list[tuple[int, float, np.ndarray]] = []
         self._frames_since_sure, self._sure = SURE_EVERY, None
 
     def step(
@@ -132,7 +141,7 @@ class FixedLagSmoother:
         time: float,
         markers_world: np.ndarray | Array,
         images: Sequence[np.ndarray | None] | None,
-        report: StepReported,
+        report: StepReported | None,
     ) -> list[SmoothedPose]:
         """One step of the tracker.
 
@@ -142,20 +151,33 @@ class FixedLagSmoother:
                 this time are better left out.
             images: a BGR (for colours to count) or grey uint8 frame per camera, None where there is
                 no new one.
-            report: of the tracker's ``solve`` of these markers.
+            report: of the tracker's ``solve`` of these markers; not asked for where it
+                ``lies_between``.
 
         Returns:
             What is final now: of no event, or of some, in order.
         """
         final: list[SmoothedPose] = []
+        if self.lies_between(time, images):
+            self._between.append((self._count, float(time), np.asarray(markers_world)))
+            self._count += 1
+            return final
+        assert report is not None, "a step that does not lie between others has a report"
         last = self._last_time()
         if last is not None and (bool(report.placed) or time - last > LONGEST_GAP_S):
             final += self.flush()
-        self._waiting.append(ReportedStep(float(time), markers_world, images, report))
+        step = ReportedStep(self._count, float(time), markers_world, images, report)
+        self._waiting.append(step)
+        self._count += 1
         most = MOST_WAITING if self._is_seen else MOST_WAITING_UNSEEN
         if len(self._waiting) < most and not self._waiting[-1].has_image:
             return final
         return final + self._settle(final=False)
+
+    def lies_between(self, time: float, images: Sequence[np.ndarray | None] | None) -> bool:
+        """Whether a step follows the last event so closely that it lies between two of them."""
+        last = self._last_time()
+        return last is not None and time - last < EVENT_S and not any_image(images)
 
     def flush(self) -> list[SmoothedPose]:
         """The poses that still wait, as they are; the next step begins a new motion."""
@@ -164,7 +186,7 @@ class FixedLagSmoother:
         return given
 
     def _last_time(self) -> float | None:
-        """Of the last step of this motion, seconds."""
+        """Of the last event of this motion, seconds."""
         steps = [*self._window.events[-1:], *self._waiting[-1:]]
         return steps[-1].time if steps else None
 
@@ -196,8 +218,7 @@ class FixedLagSmoother:
                 "elbows": self._no_goals,
             }
             frames = self._frames(step.images, there.pose)
-            number, self._count = self._count, self._count + 1
-            events.append(WindowEvent(number, step.time, measured, there.pose, frames))
+            events.append(WindowEvent(step.number, step.time, measured, there.pose, frames))
 
     def _frames(
         self, images: Sequence[np.ndarray | None] | None, pose: Pose
@@ -236,13 +257,37 @@ class FixedLagSmoother:
             return []
         deviations, from_prior = self._deviations(ready[-1])
         self._correct()
-        given = [
-            SmoothedPose(event.number, event.time, self._faded(event), deviations, from_prior)
-            for event in (events[i] for i in ready)
-        ]
+        given = [part for i in ready for part in (*self._between_events(i), self._of_event(i))]
+        if final:
+            given += self._between_events(len(events))
+        poses = given_poses(self._person, [self._faded(each) for each in given])
         last = events[ready[-1]]
         self._last_given, self._given = (last.number, last.pose), last.number + 1
-        return given
+        return [
+            SmoothedPose(each.number, each.time, unpack(pose), deviations, from_prior)
+            for each, pose in zip(given, poses, strict=True)
+        ]
+
+    def _of_event(self, i: int) -> GivenPose:
+        """An event of the window, before corrections."""
+        event = self._window.events[i]
+        there = np.concatenate(event.pose)
+        return GivenPose(event.number, event.time, there, there, 1.0, event.measured["markers"])
+
+    def _between_events(self, i: int) -> list[GivenPose]:
+        """What lies before an event of the window, or after the last one, likewise."""
+        events = self._window.events
+        until = events[i].number if i < len(events) else self._count
+        some = [each for each in self._between if each[0] < until]
+        self._between = self._between[len(some) :]
+        after = events[min(i, len(events) - 1)]
+        before = events[max(events.index(after) - 1, 0)]
+        start, end = np.concatenate(before.pose), np.concatenate(after.pose)
+        elapsed = max(after.time - before.time, EVENT_S)
+        return [
+            GivenPose(number, time, start, end, (time - before.time) / elapsed, markers)
+            for number, time, markers in some
+        ]
 
     def _deviations(self, newest: int) -> tuple[np.ndarray, np.ndarray]:
         """Of what is given out with an event, found every few frames."""
@@ -277,15 +322,12 @@ class FixedLagSmoother:
         (offset,) = offsets(stacked([pose]), stacked([now[number]]))
         self._fading = self._fading.corrected(offset)
 
-    def _faded(self, event: WindowEvent) -> Pose:
-        """An event's pose, and what is left of corrections."""
-        if self._fading is None:
-            nothing = np.zeros(ROOT_DOF + len(event.pose.angles))
-            self._fading = Fading(nothing, nothing, event.time)
-        self._fading = self._fading.at(event.time, FADE_S)
-        offset, pose = self._fading.offset.astype(self.model.dtype), np.concatenate(event.pose)
-        markers = event.measured["markers"]
-        return unpack(np.asarray(moved_near_markers(self._person, pose, offset, markers)))
+    def _faded(self, given: GivenPose) -> GivenPose:
+        """A pose with what is left of corrections."""
+        nothing = np.zeros(len(given.after) - 1)
+        fading = self._fading or Fading(nothing, nothing, given.time)
+        self._fading = fading.at(given.time, FADE_S)
+        return given._replace(offset=self._fading.offset)
 
     def _shorten(self, solved: WindowEquations) -> None:
         """Condense the oldest events: the newest few video frames stay, and what still waits."""

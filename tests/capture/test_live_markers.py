@@ -365,6 +365,30 @@ def test_for_smoothing_things_come_in_the_order_in_which_they_came_in():
     assert [frame.time for frame in inbox.take(0.0)] == [0.02]
 
 
+def test_for_smoothing_a_frame_gets_its_turn_however_many_samples_wait():
+    inbox = Inbox(max_samples=4, keep_turns=False)
+    taken = []
+    for i in range(40):
+        for k in range(3):
+            inbox.put_sample(sample_at(i / 30 + k / 90))
+        inbox.put_frame(frame_at(i / 30 + 0.03))
+        # Two are taken of every four that come in: samples never run out.
+        taken += [inbox.take(0.0), inbox.take(0.0)]
+    frames = [each for each in taken if isinstance(each, list)]
+    assert len(frames) > 8
+    assert inbox.dropped_frames + len(frames) >= 39
+
+
+def test_frames_wait_and_are_replaced_while_they_are_not_asked_for():
+    inbox = Inbox(max_samples=4)
+    inbox.put_frame(frame_at(0.0))
+    inbox.put_sample(sample_at(0.01))
+    assert inbox.take(0.0, with_frames=False).time == 0.01
+    inbox.put_frame(frame_at(0.02))
+    assert inbox.take(0.0, with_frames=False) is None
+    assert [frame.time for frame in inbox.take(0.0)] == [0.02]
+
+
 # Sockets -----------------------------------------------------------------------------------------
 
 

@@ -79,6 +79,9 @@ class Smoother:
         deviations = np.zeros((len(LANDMARKS), 3))
         return [SmoothedPose(len(self.times) - 1, time, pose, deviations, np.zeros(len(LANDMARKS)))]
 
+    def lies_between(self, time, images):
+        return False
+
     def flush(self):
         return []
 

@@ -393,13 +393,14 @@ def test_corrections_fade_in_beside_the_markers():
     """Those of a third of a radian in every joint: an elbow moves, head and hands hardly."""
     model, rng = Model.create(PERSON, MARKERS), np.random.default_rng(4)
     marked = jax.jit(lambda pose: site_positions(PERSON, forward(PERSON, pose), MARKERS))
+    near = jax.jit(moved_near_markers)
     for i in range(4):
         pose = np.concatenate(at(truth(COUNT), 3 * i)).astype(np.float32)
         offset = rng.uniform(-0.3, 0.3, 6 + PERSON.limits.shape[0]).astype(np.float32)
         offset[:6] = 0
         goals = marked(unpack(pose))
-        moved = unpack(moved_near_markers(model, pose, offset, goals))
-        free = unpack(moved_near_markers(model, pose, offset, np.nan * goals))
+        moved = near(model, unpack(pose), offset, goals)
+        free = near(model, unpack(pose), offset, np.nan * goals)
         off, away = (np.linalg.norm(marked(each) - goals, axis=-1) for each in (moved, free))
         assert off.max() < 2 * STRAY_M < away.max()
         assert np.abs(moved.angles - unpack(pose).angles).max() > 0.1
@@ -412,7 +413,7 @@ def test_points_that_smoothing_takes_off_their_markers_come_back():
     points = site_positions(PERSON, forward(PERSON, unpack(pose)), MARKERS)
     markers = points + np.array([0.0, 0.0, -0.02])
     still = np.zeros(6 + PERSON.limits.shape[0], np.float32)
-    moved = unpack(moved_near_markers(model, pose, still, markers))
+    moved = jax.jit(moved_near_markers)(model, unpack(pose), still, markers)
     off = np.linalg.norm(site_positions(PERSON, forward(PERSON, moved), MARKERS) - markers, axis=-1)
     assert off.max() < STRAY_M + 1e-3
 

@@ -41,9 +41,10 @@ class Inbox:
 
         Args:
             max_samples: that may wait.
-            keep_turns: a frame that replaces another keeps its place in the queue, so that frames
-                are taken however many samples come; else things are given out in the order in which
-                they came in, which smoothing needs.
+            keep_turns: a frame that replaces another keeps its place in the queue; else things are
+                given out in the order in which they came in, which smoothing needs, and a frame is
+                replaced only once its turn has come. Either way frames are taken however many
+                samples come.
         """
         self._samples: deque[MarkerSample] = deque()
         self._max_samples, self._keep_turns = max_samples, keep_turns
@@ -63,23 +64,32 @@ class Inbox:
             self._changed.notify()
 
     def put_frame(self, frame: LiveFrame) -> None:
-        """Add a frame in place of an older one of its camera."""
+        """Add a frame in place of an older one of its camera, or not where that one must wait."""
         with self._changed:
-            self.dropped_frames += frame.camera in self._frames
+            since = self._since.get(frame.camera)
+            self.dropped_frames += since is not None
+            must_wait = since is not None and self._samples and self._samples[0].arrived <= since
+            if not self._keep_turns and must_wait:
+                return
             self._frames[frame.camera] = frame
-            if not self._keep_turns or frame.camera not in self._since:
+            if not self._keep_turns or since is None:
                 self._since[frame.camera] = frame.arrived
             self._changed.notify()
 
-    def take(self, timeout: float) -> MarkerSample | list[LiveFrame] | None:
-        """The next sample, or all frames where they came first; None after so many seconds."""
+    def take(
+        self, timeout: float, with_frames: bool = True
+    ) -> MarkerSample | list[LiveFrame] | None:
+        """The next sample, or all frames where they came first; None after so many seconds.
+
+        Frames wait, and newer ones take their place, while they are not asked for.
+        """
         with self._changed:
-            if not self._samples and not self._frames:
+            if not self._samples and not (with_frames and self._frames):
                 self._changed.wait(timeout)
-            first = min(self._since.values(), default=np.inf)
+            first = min(self._since.values(), default=np.inf) if with_frames else np.inf
             if self._samples and self._samples[0].arrived <= first:
                 return self._samples.popleft()
-            if not self._frames:
+            if not (with_frames and self._frames):
                 return None
             frames, self._frames, self._since = list(self._frames.values()), {}, {}
             return frames

@@ -30,6 +30,7 @@ from jaxmocap.formats.recordings.marker_places import bone_point_binder
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.senders.osc import DatagramSender
 from jaxmocap.outputs.senders.unity import UnityBody
+from jaxmocap.pipelines.live.frame_pace import FramePace
 from jaxmocap.pipelines.live.reach_state import ReachState
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.setup import LiveSetup
@@ -37,9 +38,9 @@ from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stream_states import SILENT_S, stream_states
 from jaxmocap.pipelines.live.tracking import LiveTracking, Output
 
-# Samples in the queue, at most: a tenth of a second of a headset's. Where more arrive than can be
-# tracked, a longer queue would only add latency.
-LONGEST_QUEUE = 8
+# Samples in the queue, at most: a tenth of a second of a headset's, and two where poses wait for
+# video frames anyway. Where more arrive than can be tracked, a longer queue would only add latency.
+LONGEST_QUEUE, LONGEST_SMOOTHED_QUEUE = 8, 16
 # Seconds between messages to the receivers of poses that nothing is tracked.
 HEARTBEAT_S = 0.25
 # Seconds after which Python switches threads: its default of 5 ms would add to a sample's latency.
@@ -100,7 +101,8 @@ class Live:
         self.recording = LiveRecording(setup, out) if out is not None else None
         if self.recording is not None:
             ending.callback(self.recording.close)
-        self._inbox = Inbox(LONGEST_QUEUE, keep_turns=not smooth)
+        longest = LONGEST_SMOOTHED_QUEUE if smooth else LONGEST_QUEUE
+        self._inbox, self._pace = Inbox(longest, keep_turns=not smooth), FramePace()
         self._began = monotonic()
         bind = bone_point_binder(setup.skeleton, setup.places)
         gathering = SampleAssembler(
@@ -182,13 +184,17 @@ class Live:
 
     def _handle_next(self) -> None:
         """Take one sample, or the newest frames, from the inbox; track it; update the status."""
-        taken = self._inbox.take(0.05)
+        began = self._now()
+        taken = self._inbox.take(0.05, self._pace.is_due(began))
+        took = self._now()
         if isinstance(taken, MarkerSample):
             self._newest_sample = taken.arrived
             self._reach.add(taken)
             outputs = self.tracking.sample(taken)
         else:
             outputs = self.tracking.frames(taken) if taken else []
+            if taken:
+                self._pace.took_frame(took)
             if taken and self._viewer is not None:
                 names = [video.camera_name for video in self._setup.videos]
                 self._frames_shown |= {names[frame.camera]: frame for frame in taken}
@@ -200,6 +206,7 @@ class Live:
             for sender, to in self._senders:
                 to.send(sender.lost(now))
         self._update_status(now)
+        self._pace.spent(self._now() - took, self._now() - began)
 
     def _send(self, output: Output) -> None:
         local = self._body.local(output.pose)

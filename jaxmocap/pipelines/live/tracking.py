@@ -274,7 +274,9 @@ class LiveTracking:
             images, arrived = self._images(event), None
             filled = self._recent_markers.at(event.time)
             measured = np.full_like(filled, np.nan)
-        _, report = self._step(event.time, filled, images)
+        report = None
+        if not self._smoother.lies_between(event.time, images):
+            _, report = self._step(event.time, filled, images)
         self._arrivals.append((self._events, arrived))
         self._events += 1
         return self._outputs_of(self._smoother.step(event.time, measured, images, report))

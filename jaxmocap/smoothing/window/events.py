@@ -31,8 +31,9 @@ from jaxmocap.solvers.sdls import clamp_lengths, damped_step
 # Of what an ``Expected`` holds beside the pose.
 _EXPECTED_SHAPES = np.empty(2), np.empty(2), np.empty((2, 3))
 # Events per call, so that they compile once.
-EXPECTED_A_CALL = 4
+EXPECTED_A_CALL = 2
 MOVED_A_CALL = 8
+GIVEN_A_CALL = 4
 # Corrections that fade in move the markers' points by no more than this, metres.
 FADED_M = 0.004
 # No point ends farther off its marker than this, metres. A limb that is pulled shakes its elbow.
@@ -60,8 +61,9 @@ class StepReported(Protocol):
 
 
 class ReportedStep(NamedTuple):
-    """A step of the tracker that waits for the next video frame."""
+    """A step of the tracker that waits for the next video frame; steps are counted from 0."""
 
+    number: int
     time: float
     markers_world: np.ndarray | Array
     images: Sequence[np.ndarray | None] | None
@@ -158,13 +160,63 @@ def _moved(skeleton: Skeleton, poses: Array, steps: Array) -> tuple[Array, Array
     return pack(there), jnp.reshape(points, (len(points), -1))
 
 
-@program("quick")
-def moved_near_markers(model: Model, pose: Array, offset: Array, markers_world: Array) -> Array:
-    """A packed pose (7 + D,) moved by a tangent vector, its markers' points hardly.
+class GivenPose(NamedTuple):
+    """A pose on the track between two events of a window, or on one of them.
+
+    Attributes:
+        number: of the step, counted from 0.
+        time: of it, seconds.
+        before: (7 + D,) packed, of the event before.
+        after: likewise.
+        share: of the way between them.
+        markers_world: (M, 3) metres; NaN where missing.
+        offset: (6 + D,) to be moved by.
+    """
+
+    number: int
+    time: float
+    before: np.ndarray
+    after: np.ndarray
+    share: float
+    markers_world: np.ndarray
+    offset: np.ndarray = np.zeros(0)
+
+
+def given_poses(model: Model, given: Sequence[GivenPose]) -> np.ndarray:
+    """Packed poses (G, 7 + D), moved by their offsets, near their markers (``moved_near_markers``).
 
     Args:
         model: M markers, D degrees of freedom.
-        pose: packed.
+        given: where they lie.
+    """
+    columns = zip(*(each[2:] for each in given), strict=True)
+    stacks = tuple(np.stack(column).astype(model.dtype) for column in columns)
+    (poses,) = in_batches(lambda *some: (_given_poses(model, *some),), stacks, GIVEN_A_CALL)
+    return poses.astype(model.dtype)
+
+
+@program("quick")
+def _given_poses(
+    model: Model, before: Array, after: Array, share: Array, markers_world: Array, offset: Array
+) -> Array:
+    """``given_poses`` of stacks."""
+
+    def one(
+        before: Array, after: Array, share: Array, markers_world: Array, offset: Array
+    ) -> Array:
+        start = unpack(before)
+        there = retract(start, share * difference(unpack(after), start))
+        return pack(moved_near_markers(model, there, offset, markers_world))
+
+    return jax.vmap(one)(before, after, share, markers_world, offset)
+
+
+def moved_near_markers(model: Model, pose: Pose, offset: Array, markers_world: Array) -> Pose:
+    """A pose moved by a tangent vector, its markers' points hardly.
+
+    Args:
+        model: M markers, D degrees of freedom.
+        pose: to be moved.
         offset: (6 + D,) to move it by.
         markers_world: (M, 3) metres, to which points come as near as ``STRAY_M``. NaN where one is
             missing; its point goes along.
@@ -172,13 +224,13 @@ def moved_near_markers(model: Model, pose: Array, offset: Array, markers_world: 
     skeleton, sites = model.skeleton, model.markers
     own, there = (
         site_positions(skeleton, forward(skeleton, each), sites)
-        for each in (unpack(pose), retract(unpack(pose), offset))
+        for each in (pose, retract(pose, offset))
     )
     of_head = np.isin(sites.bone_indices, skeleton.tree.bones_in("spine", "head"))
     stray = jnp.where(of_head, HEAD_STRAY_M, STRAY_M)[:, None]
     off = own + clamp_lengths(there - own, FADED_M) - markers_world
     goals = markers_world + clamp_lengths(off, stray)
-    return pack(on_markers(model, retract(unpack(pose), offset), goals))
+    return on_markers(model, retract(pose, offset), goals)
 
 
 def on_markers(model: Model, pose: Pose, markers_world: Array) -> Pose:
