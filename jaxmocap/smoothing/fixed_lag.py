@@ -36,17 +36,22 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import landmark_deviations
 from jaxmocap.smoothing.window.equations import WindowEquations
 from jaxmocap.smoothing.window.events import (
-    FADED_M,
-    GivenPose,
     ReportedStep,
     StepReported,
     WindowEvent,
     any_image,
     expected_at,
-    given_poses,
     offsets,
 )
 from jaxmocap.smoothing.window.sliding import SOFTNESS, Window, stacked
+from jaxmocap.smoothing.window.track import (
+    FADED_M,
+    GivenPose,
+    Sample,
+    at_event,
+    between_events,
+    given_poses,
+)
 from jaxmocap.solvers.fading import Fading
 
 # A pose is given out once so many later video frames came,
@@ -132,8 +137,8 @@ class FixedLagSmoother:
         # Number and pose of the event given out last.
         self._last_given: tuple[int, Pose] | None = None
         self._waiting: list[ReportedStep] = []
-        # Samples between events that were not given out yet: number, time, (M, 3) markers.
-        self._between: list[tuple[int, float, np.ndarray]] = []
+        # Samples between events that were not given out yet.
+        self._between: list[Sample] = []
         self._frames_since_sure, self._sure = SURE_EVERY, None
 
     def step(
@@ -159,7 +164,7 @@ class FixedLagSmoother:
         """
         final: list[SmoothedPose] = []
         if self.lies_between(time, images):
-            self._between.append((self._count, float(time), np.asarray(markers_world)))
+            self._between.append(Sample(self._count, float(time), np.asarray(markers_world)))
             self._count += 1
             return final
         assert report is not None, "a step that does not lie between others has a report"
@@ -257,36 +262,19 @@ class FixedLagSmoother:
             return []
         deviations, from_prior = self._deviations(ready[-1])
         self._correct()
-        given = [part for i in ready for part in (*self._between_events(i), self._of_event(i))]
+        given = []
+        for i in ready:
+            earlier = [each for each in self._between if each.number < events[i].number]
+            given += [*between_events(events, i, earlier), at_event(events[i])]
+            self._between = self._between[len(earlier) :]
         if final:
-            given += self._between_events(len(events))
+            given += between_events(events, len(events), self._between)
         poses = given_poses(self._person, [self._faded(each) for each in given])
         last = events[ready[-1]]
         self._last_given, self._given = (last.number, last.pose), last.number + 1
         return [
             SmoothedPose(each.number, each.time, unpack(pose), deviations, from_prior)
             for each, pose in zip(given, poses, strict=True)
-        ]
-
-    def _of_event(self, i: int) -> GivenPose:
-        """An event of the window, before corrections."""
-        event = self._window.events[i]
-        there = np.concatenate(event.pose)
-        return GivenPose(event.number, event.time, there, there, 1.0, event.measured["markers"])
-
-    def _between_events(self, i: int) -> list[GivenPose]:
-        """What lies before an event of the window, or after the last one, likewise."""
-        events = self._window.events
-        until = events[i].number if i < len(events) else self._count
-        some = [each for each in self._between if each[0] < until]
-        self._between = self._between[len(some) :]
-        after = events[min(i, len(events) - 1)]
-        before = events[max(events.index(after) - 1, 0)]
-        start, end = np.concatenate(before.pose), np.concatenate(after.pose)
-        elapsed = max(after.time - before.time, EVENT_S)
-        return [
-            GivenPose(number, time, start, end, (time - before.time) / elapsed, markers)
-            for number, time, markers in some
         ]
 
     def _deviations(self, newest: int) -> tuple[np.ndarray, np.ndarray]:
@@ -324,7 +312,7 @@ class FixedLagSmoother:
 
     def _faded(self, given: GivenPose) -> GivenPose:
         """A pose with what is left of corrections."""
-        nothing = np.zeros(len(given.after) - 1)
+        nothing = np.zeros(given.events.shape[1] - 1)
         fading = self._fading or Fading(nothing, nothing, given.time)
         self._fading = fading.at(given.time, FADE_S)
         return given._replace(offset=self._fading.offset)

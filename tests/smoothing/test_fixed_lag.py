@@ -33,7 +33,7 @@ from jaxmocap.smoothing.window.equations import (
     SilhouetteQuadratic,
     window_equations,
 )
-from jaxmocap.smoothing.window.events import STRAY_M, moved_near_markers
+from jaxmocap.smoothing.window.track import STRAY_M, moved_near_markers
 from jaxmocap.solvers.fading import Fading
 
 COUNT = 24
@@ -206,6 +206,31 @@ def test_an_arm_that_cameras_do_not_show_may_be_anywhere():
     shown, unseen = (joined(steps(smoother=own, count=14)) for own in (smoother_of(), hidden))
     elbows = [np.linalg.norm(each[11].deviations[ELBOWS], axis=-1) for each in (shown, unseen)]
     assert (elbows[0] < 0.5 * elbows[1]).all() and elbows[1].min() > 0.1
+
+
+def test_samples_that_follow_a_frame_closely_lie_on_the_track_beside_their_markers():
+    smoother, shown, out, count = smoother_of(), images(), [], 12
+    between = (markers()[:-1] + markers()[1:]) / 2
+    for i in range(count):
+        assert not smoother.lies_between(TIMES[i], [shown[i]])
+        out += smoother.step(TIMES[i], markers()[i], [shown[i]], report(i))
+        later = TIMES[i] + 0.4 / RATE
+        assert smoother.lies_between(later, None)
+        out += smoother.step(later, between[i], None, None)
+    out += smoother.flush()
+    assert [each.number for each in out] == list(range(2 * count))
+    assert (np.diff([each.time for each in out]) > 0).all()
+    poses = poses_of(out)
+    points = jax.vmap(lambda pose: site_positions(PERSON, forward(PERSON, pose), MARKERS))(poses)
+    # The last one has no event after it.
+    off = np.linalg.norm(np.asarray(points)[1:-1:2] - between[: count - 1], axis=-1)
+    assert off.max() < STRAY_M + 1e-3
+    elbows = points_of(poses)[:, ELBOWS]
+    ways = elbows[:-2:2], elbows[1:-1:2], elbows[2::2]
+    before, there, after = (np.asarray(each) for each in ways)
+    longest = np.linalg.norm(after - before, axis=-1) + 0.01
+    assert (np.linalg.norm(there - before, axis=-1) < longest).all()
+    assert (np.linalg.norm(there - after, axis=-1) < longest).all()
 
 
 # What is missing ---------------------------------------------------------------------------------

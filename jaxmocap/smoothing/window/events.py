@@ -12,38 +12,23 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import forward, jacobian, landmarks, site_positions
-from jaxmocap.body.model import Model
+from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.packing import packed, unpacked
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.running import MeasuredFrame
 from jaxmocap.evidence.ground import ANKLES
-from jaxmocap.evidence.markers import are_present, off_targets
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.smoothing.window.equations import LinearEvent
-from jaxmocap.solvers.sdls import clamp_lengths, damped_step
 
 # Of what an ``Expected`` holds beside the pose.
 _EXPECTED_SHAPES = np.empty(2), np.empty(2), np.empty((2, 3))
 # Events per call, so that they compile once.
 EXPECTED_A_CALL = 2
 MOVED_A_CALL = 8
-GIVEN_A_CALL = 4
-# Corrections that fade in move the markers' points by no more than this, metres.
-FADED_M = 0.004
-# No point ends farther off its marker than this, metres. A limb that is pulled shakes its elbow.
-# The head's is two degrees at an orientation's lever.
-STRAY_M, HEAD_STRAY_M = 0.008, 0.004
-# Steps that bring points back, and their damping, metres: enough for a stretched arm.
-HOLDING_STEPS = 3
-HOLDING_DAMPING = 0.03
-# Pelvis and trunk follow so many times less than the limbs.
-TRUNK_STIFFNESS = 10.0
 
 
 class StepReported(Protocol):
@@ -158,98 +143,6 @@ def _moved(skeleton: Skeleton, poses: Array, steps: Array) -> tuple[Array, Array
     there = retract(unpack(poses), steps)
     points = jax.vmap(landmarks, (None, 0))(skeleton, there)
     return pack(there), jnp.reshape(points, (len(points), -1))
-
-
-class GivenPose(NamedTuple):
-    """A pose on the track between two events of a window, or on one of them.
-
-    Attributes:
-        number: of the step, counted from 0.
-        time: of it, seconds.
-        before: (7 + D,) packed, of the event before.
-        after: likewise.
-        share: of the way between them.
-        markers_world: (M, 3) metres; NaN where missing.
-        offset: (6 + D,) to be moved by.
-    """
-
-    number: int
-    time: float
-    before: np.ndarray
-    after: np.ndarray
-    share: float
-    markers_world: np.ndarray
-    offset: np.ndarray = np.zeros(0)
-
-
-def given_poses(model: Model, given: Sequence[GivenPose]) -> np.ndarray:
-    """Packed poses (G, 7 + D), moved by their offsets, near their markers (``moved_near_markers``).
-
-    Args:
-        model: M markers, D degrees of freedom.
-        given: where they lie.
-    """
-    columns = zip(*(each[2:] for each in given), strict=True)
-    stacks = tuple(np.stack(column).astype(model.dtype) for column in columns)
-    (poses,) = in_batches(lambda *some: (_given_poses(model, *some),), stacks, GIVEN_A_CALL)
-    return poses.astype(model.dtype)
-
-
-@program("quick")
-def _given_poses(
-    model: Model, before: Array, after: Array, share: Array, markers_world: Array, offset: Array
-) -> Array:
-    """``given_poses`` of stacks."""
-
-    def one(
-        before: Array, after: Array, share: Array, markers_world: Array, offset: Array
-    ) -> Array:
-        start = unpack(before)
-        there = retract(start, share * difference(unpack(after), start))
-        return pack(moved_near_markers(model, there, offset, markers_world))
-
-    return jax.vmap(one)(before, after, share, markers_world, offset)
-
-
-def moved_near_markers(model: Model, pose: Pose, offset: Array, markers_world: Array) -> Pose:
-    """A pose moved by a tangent vector, its markers' points hardly.
-
-    Args:
-        model: M markers, D degrees of freedom.
-        pose: to be moved.
-        offset: (6 + D,) to move it by.
-        markers_world: (M, 3) metres, to which points come as near as ``STRAY_M``. NaN where one is
-            missing; its point goes along.
-    """
-    skeleton, sites = model.skeleton, model.markers
-    own, there = (
-        site_positions(skeleton, forward(skeleton, each), sites)
-        for each in (pose, retract(pose, offset))
-    )
-    of_head = np.isin(sites.bone_indices, skeleton.tree.bones_in("spine", "head"))
-    stray = jnp.where(of_head, HEAD_STRAY_M, STRAY_M)[:, None]
-    off = own + clamp_lengths(there - own, FADED_M) - markers_world
-    goals = markers_world + clamp_lengths(off, stray)
-    return on_markers(model, retract(pose, offset), goals)
-
-
-def on_markers(model: Model, pose: Pose, markers_world: Array) -> Pose:
-    """A pose moved as little as brings its points to markers (M, 3); NaN where one is missing."""
-    skeleton, sites = model.skeleton, model.markers
-    trunk = [group == "spine" for group in skeleton.tree.groups_of_joints]
-    is_trunk = np.r_[np.ones(ROOT_DOF, bool), trunk]
-    stiff = jnp.where(is_trunk, TRUNK_STIFFNESS, jnp.ones_like(skeleton.costs))
-
-    def step(_: int, pose: Pose) -> Pose:
-        frames = forward(skeleton, pose)
-        points = site_positions(skeleton, frames, sites)
-        present = are_present(markers_world)[:, None, None]
-        J = jnp.where(present, jacobian(skeleton, frames, sites.bones, points) / stiff, 0.0)
-        back = -off_targets(points, markers_world)
-        J = J.reshape(-1, J.shape[-1])
-        return retract(pose, damped_step(J, back.ravel(), HOLDING_DAMPING) / stiff)
-
-    return jax.lax.fori_loop(0, HOLDING_STEPS, step, pose)
 
 
 @dataclass

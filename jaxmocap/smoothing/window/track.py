@@ -1,0 +1,211 @@
+"""The track between a window's events: poses of the samples that lie between, near their markers.
+
+INPUTS: WindowEvents, samples, corrections. OUTPUTS: poses to be given out.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import forward, jacobian, site_positions
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
+from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.compilation.batches import in_batches
+from jaxmocap.compilation.programs import program
+from jaxmocap.evidence.markers import are_present, off_targets
+from jaxmocap.smoothing.window.events import WindowEvent
+from jaxmocap.solvers.sdls import clamp_lengths, damped_step
+
+# Poses per call, so that they compile once.
+GIVEN_A_CALL = 4
+# In place of the seconds to an event that is not there.
+ENDLESS_S = 1e6
+# Corrections that fade in move the markers' points by no more than this, metres.
+FADED_M = 0.004
+# No point ends farther off its marker than this, metres. A limb that is pulled shakes its elbow.
+# The head's is two degrees at an orientation's lever.
+STRAY_M, HEAD_STRAY_M = 0.008, 0.004
+# Steps that bring points back, and their damping, metres: enough for a stretched arm.
+HOLDING_STEPS = 3
+HOLDING_DAMPING = 0.03
+# Pelvis and trunk follow so many times less than the limbs.
+TRUNK_STIFFNESS = 10.0
+
+
+class Sample(NamedTuple):
+    """A step that brought markers: its number, seconds, (M, 3) metres; NaN where missing."""
+
+    number: int
+    time: float
+    markers_world: np.ndarray
+
+
+class GivenPose(NamedTuple):
+    """A pose on the track between two events of a window, or on one of them.
+
+    Attributes:
+        number: of the step, counted from 0.
+        time: of it, seconds.
+        events: (4, 7 + D) packed poses of the two events before and the two after it.
+        spans: (3,) seconds between them; endless where there is no further event on that side.
+        share: of the way between the middle two.
+        markers_world: (M, 3) metres; NaN where missing.
+        offset: (6 + D,) to be moved by.
+    """
+
+    number: int
+    time: float
+    events: np.ndarray
+    spans: np.ndarray
+    share: float
+    markers_world: np.ndarray
+    offset: np.ndarray = np.zeros(0)
+
+
+def at_event(event: WindowEvent) -> GivenPose:
+    """An event's own pose, before corrections."""
+    there = np.stack([np.concatenate(event.pose)] * 4)
+    spans, markers = np.full(3, ENDLESS_S), event.measured["markers"]
+    return GivenPose(event.number, event.time, there, spans, 0.0, markers)
+
+
+def between_events(
+    events: Sequence[WindowEvent],
+    i: int,
+    samples: Sequence[Sample],
+) -> list[GivenPose]:
+    """Samples before the ith event of a window, or straight on beyond the last one, likewise.
+
+    Args:
+        events: of the window.
+        i: which; as many as there are for none of them.
+        samples: that lie there.
+    """
+    if not samples:
+        return []
+    last = len(events) - 1
+    end = min(i, last)
+    start = max(end - 1, 0)
+    sides = (max(start - 1, 0), min(end + 1, last)) if i <= last else (start, end)
+    rows = [sides[0], start, end, sides[1]]
+    times = np.array([events[row].time for row in rows])
+    spans = np.where(np.diff(rows) > 0, np.diff(times), ENDLESS_S)
+    poses = np.stack([np.concatenate(events[row].pose) for row in rows])
+    return [
+        GivenPose(number, time, poses, spans, (time - times[1]) / spans[1], markers)
+        for number, time, markers in samples
+    ]
+
+
+def given_poses(model: Model, given: Sequence[GivenPose]) -> np.ndarray:
+    """Packed poses (G, 7 + D), moved by their offsets, near their markers (``moved_near_markers``).
+
+    Args:
+        model: M markers, D degrees of freedom.
+        given: where they lie.
+    """
+    columns = zip(*(tuple(each)[2:] for each in given), strict=True)
+    stacks = tuple(np.stack(column).astype(model.dtype) for column in columns)
+    (poses,) = in_batches(lambda *some: (_given_poses(model, *some),), stacks, GIVEN_A_CALL)
+    return poses.astype(model.dtype)
+
+
+@program("quick")
+def _given_poses(
+    model: Model,
+    events: Array,
+    spans: Array,
+    share: Array,
+    markers_world: Array,
+    offset: Array,
+) -> Array:
+    """``given_poses`` of stacks."""
+
+    def one(
+        events: Array, spans: Array, share: Array, markers_world: Array, offset: Array
+    ) -> Array:
+        earlier, before, after, later = (unpack(each) for each in events)
+        ways = (difference(before, earlier), difference(after, before), difference(later, after))
+        there = retract(before, cubic_step(*ways, spans, share))
+        return pack(moved_near_markers(model, there, offset, markers_world))
+
+    return jax.vmap(one)(events, spans, share, markers_world, offset)
+
+
+def cubic_step(first: Any, way: Any, last: Any, spans: Any, share: Any) -> Any:
+    """From the second of four places to one on a cubic between it and the third.
+
+    Its slopes at those two are those of the parabolas through three of the four (Hermite's
+    interpolation). On straight lines every second sample would jerk.
+
+    Args:
+        first: from the first place to the second.
+        way: from the second to the third.
+        last: from the third to the fourth.
+        spans: seconds of these three.
+        share: of the way.
+    """
+    t_first, t_way, t_last = spans
+
+    def slope(beside: Any, t_beside: Any) -> Any:
+        """At the end that another way adjoins, times the seconds of this one."""
+        of_beside = t_way / (t_beside + t_way)
+        return of_beside * beside * (t_way / t_beside) + (1 - of_beside) * way
+
+    s = share
+    return (
+        s * (1 - s) ** 2 * slope(first, t_first)
+        + s**2 * (3 - 2 * s) * way
+        - s**2 * (1 - s) * slope(last, t_last)
+    )
+
+
+def moved_near_markers(
+    model: Model,
+    pose: Pose,
+    offset: Array,
+    markers_world: Array,
+) -> Pose:
+    """A pose moved by a tangent vector, its markers' points hardly.
+
+    Args:
+        model: M markers, D degrees of freedom.
+        pose: to be moved.
+        offset: (6 + D,) to move it by.
+        markers_world: (M, 3) metres, to which points come as near as ``STRAY_M``. NaN where one is
+            missing; its point goes along.
+    """
+    skeleton, sites = model.skeleton, model.markers
+    own, there = (
+        site_positions(skeleton, forward(skeleton, each), sites)
+        for each in (pose, retract(pose, offset))
+    )
+    of_head = np.isin(sites.bone_indices, skeleton.tree.bones_in("spine", "head"))
+    stray = jnp.where(of_head, HEAD_STRAY_M, STRAY_M)[:, None]
+    off = own + clamp_lengths(there - own, FADED_M) - markers_world
+    goals = markers_world + clamp_lengths(off, stray)
+    return on_markers(model, retract(pose, offset), goals)
+
+
+def on_markers(model: Model, pose: Pose, markers_world: Array) -> Pose:
+    """A pose moved as little as brings its points to markers (M, 3); NaN where one is missing."""
+    skeleton, sites = model.skeleton, model.markers
+    trunk = [group == "spine" for group in skeleton.tree.groups_of_joints]
+    is_trunk = np.r_[np.ones(ROOT_DOF, bool), trunk]
+    stiff = jnp.where(is_trunk, TRUNK_STIFFNESS, jnp.ones_like(skeleton.costs))
+
+    def step(_: int, pose: Pose) -> Pose:
+        frames = forward(skeleton, pose)
+        points = site_positions(skeleton, frames, sites)
+        present = are_present(markers_world)[:, None, None]
+        J = jnp.where(present, jacobian(skeleton, frames, sites.bones, points) / stiff, 0.0)
+        back = -off_targets(points, markers_world)
+        J = J.reshape(-1, J.shape[-1])
+        return retract(pose, damped_step(J, back.ravel(), HOLDING_DAMPING) / stiff)
+
+    return jax.lax.fori_loop(0, HOLDING_STEPS, step, pose)
