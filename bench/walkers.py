@@ -49,7 +49,7 @@ def _walk(path: Path, stature: float, above: np.ndarray) -> list[Samples]:
         joints = {"elbow": points[f"{side}Elbow"], "ankle": points[f"{side}Ankle"], "pelvis": hips}
         features = {"elbow": walk.hands[i], "ankle": walk.swing[i], "pelvis": walk.swing[i]}
         places = {
-            name: np.einsum("tij,tj->ti", walk.R_walker_world, joint - crown) / stature * MIRRORS[i]
+            name: np.einsum("tij,tj->ti", walk.axes, joint - crown) / stature * MIRRORS[i]
             for name, joint in joints.items()
         }
         found.append({name: (features[name], places[name]) for name in joints})

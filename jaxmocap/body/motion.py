@@ -16,7 +16,7 @@ from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.compilation.arrays import on_device
 from jaxmocap.compilation.programs import Program
 from jaxmocap.geometry.origin import local_origin
-from jaxmocap.geometry.rows import GatheredRows
+from jaxmocap.geometry.rows import GatheredRows, Index
 
 # A report's arrays with a row for each sample.
 SAMPLED = ("marker_errors", "arm_costs", "swivels", "landmarks_std", "from_prior")
@@ -158,9 +158,9 @@ def _moved(points: np.ndarray, origin_world: np.ndarray) -> np.ndarray:
     return points + np.asarray(origin_world, float) if np.any(origin_world) else points
 
 
-def landmarks_over_time(skeleton: Skeleton, poses: Pose) -> np.ndarray:
-    """Positions (T, L, 3) of the ``LANDMARKS``, world, metres, of poses (T, ...)."""
-    return in_blocks(_over_time, skeleton, poses)
+def landmarks_over_time(skeleton: Skeleton, poses: Pose, rows: Index = slice(None)) -> np.ndarray:
+    """Positions (T, L, 3), world, metres, of the ``LANDMARKS``, or some, at poses (T, ...)."""
+    return in_blocks(lambda *each: np.asarray(_over_time(*each))[:, rows], skeleton, poses)
 
 
 def in_blocks(function: Callable[[Skeleton, Pose], Any], skeleton: Skeleton, poses: Pose) -> Any:

@@ -25,8 +25,14 @@ def in_batches(
         return [np.asarray(part, np.float64) for part in jax.tree.leaves(result)]
 
     each = workers.map if workers else map
-    parts = list(each(of_batch, _batches(count, size)))
-    return [np.concatenate(each)[:count] for each in zip(*parts, strict=True)]
+    # Filled as they come: in parts and joined, all of it would be in memory twice.
+    joined: list[np.ndarray] = []
+    for i, parts in enumerate(each(of_batch, _batches(count, size))):
+        first = i * size
+        joined = joined or [np.empty((count, *part.shape[1:])) for part in parts]
+        for every, some in zip(joined, parts, strict=True):
+            every[first : first + size] = some[: count - first]
+    return joined
 
 
 def _batches(count: int, size: int) -> Iterator[np.ndarray]:

@@ -3,7 +3,7 @@
 INPUTS: a posed body, where the markers' own pose leans and faces. OUTPUTS: whitened residuals.
 """
 
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -267,4 +267,4 @@ class Usual(NamedTuple):
     """
 
     places: Array | np.ndarray
-    roots: Array | np.ndarray
+    roots: Any

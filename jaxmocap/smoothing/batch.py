@@ -202,7 +202,8 @@ def measurements_of(model: Model, first_pass: FirstPass) -> dict[str, Any]:
     measured = references(model.skeleton, first_pass.times, first_pass.reports.marker_pose)
     measured["markers"] = np.asarray(first_pass.markers_world, model.dtype)
     # No goals yet: what is there from the start needs no second program later.
-    measured["elbows"] = np.full((len(first_pass.times), 2, 3), np.nan, model.dtype)
+    none = np.asarray(np.nan, model.dtype)
+    measured["elbows"] = np.broadcast_to(none, (len(first_pass.times), 2, 3))
     if first_pass.sight_lines is None:
         return measured
     lines = jax.tree.map(lambda part: np.asarray(part, model.dtype), first_pass.sight_lines)

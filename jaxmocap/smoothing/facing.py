@@ -48,10 +48,11 @@ _matrices = Program(jax.vmap(quaternion_to_matrix), "matrices")
 def references(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> dict[str, np.ndarray]:
     """Measured ``upright``, ``facing`` and ``ankles`` (T, ...) of poses by the markers alone."""
     R = np.asarray(_matrices(on_device(poses.quaternion)))
-    points = landmarks_over_time(skeleton, poses)
+    ankles = landmarks_over_time(skeleton, poses, ANKLES)
     facing = _level(averaged(R[:, :2, 0], times))
-    result = {"upright": R[:, :2, 2], "facing": facing, "ankles": points[:, ANKLES]}
-    return {name: np.asarray(part, skeleton.lengths.dtype) for name, part in result.items()}
+    result = {"upright": R[:, :2, 2], "facing": facing, "ankles": ankles}
+    # Copies: what is a part of a larger array would keep that one.
+    return {name: np.array(part, skeleton.lengths.dtype) for name, part in result.items()}
 
 
 def facing_in_time(

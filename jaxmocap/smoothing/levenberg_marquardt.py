@@ -150,8 +150,12 @@ def minimise(
         equations = normal_equations(here.linear, prior)
         state = state._replace(iterations=state.iterations + 1)
         if not (np.isfinite(here.cost) and equations.finite()):
+            begun = here if state.linearisations == 1 else place(start)
+            state = state._replace(linear=begun.linear, cost=begun.cost)
             return state._replace(x=start, status=Status.BROKEN)
         here, state = _descend(moved_by, here, state, equations, settings)
+        # That of the start would stay in memory until the end.
+        state = state._replace(linear=here.linear)
         if state.status == Status.CONVERGED and not equations.determined():
             state = state._replace(status=Status.UNDETERMINED)
     return state._replace(x=here.x, linear=here.linear, cost=here.cost)

@@ -180,10 +180,16 @@ def linearise_problem(
     cameras, size = len(trajectory.turns_cam), fit.jacobian.shape[2]
     n = size - trajectory.proportions.size
     # Frames do not depend on cameras.
-    wider = (0, TURN * cameras)
-    cost, hessian = np.asarray(fit.cost), np.pad(fit.hessian, ((0, 0), wider, wider))
-    gradient = np.pad(fit.gradient, ((0, 0), wider))
-    jacobian = np.pad(fit.jacobian, ((0, 0), (0, 0), wider))
+    if cameras:
+        wider = (0, TURN * cameras)
+        fit = fit._replace(
+            hessian=np.pad(fit.hessian, ((0, 0), wider, wider)),
+            gradient=np.pad(fit.gradient, ((0, 0), wider)),
+            jacobian=np.pad(fit.jacobian, ((0, 0), (0, 0), wider)),
+        )
+    cost, hessian, gradient, jacobian = (
+        np.asarray(part) for part in (fit.cost, fit.hessian, fit.gradient, fit.jacobian)
+    )
     views = problem.views
     if len(views.frame):
         price, by_view, pull = _over_views(views_fit, problem, softness, workers, trajectory)

@@ -8,6 +8,7 @@ INPUTS: a model, a first pass. OUTPUTS: a Trajectory with deviations.
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import jax
 import numpy as np
@@ -58,10 +59,11 @@ def smooth_markers(
     problem = SmoothingProblem(model, weighted, first_pass.times, measured, Views.no_cameras())
     start = Trajectory(first_pass.poses, np.zeros(len(PROPORTIONS), model.dtype), UNTURNED)
     some = np.arange(0, count, -(-count // STRETCH))
-    found = smooth_poses(*_among(problem, start, some), FINELY).trajectory
+    own, at = _among(problem, start, some)
+    found = smooth_poses(own, at, FINELY).trajectory
     show(0.5 if len(some) < count else 0.9)
     if len(some) == count:
-        found = with_deviations(problem, found, FINELY[-1])
+        found = with_deviations(own, found, FINELY[-1])
         show(1.0)
         return found
     start = start._replace(proportions=found.proportions)
@@ -77,7 +79,7 @@ def smooth_markers(
         sized = replace(own, model=person), at._replace(proportions=start.proportions[:0])
         poses = smooth_poses(*sized, FINELY).trajectory.poses
         solved = with_deviations(own, at._replace(poses=poses), FINELY[-1])
-        joined.put(first, _rows(solved, np.arange(first, last) - rows[0]))
+        joined.put(first, _rows(solved, np.arange(first, last) - rows[0], model.dtype))
         show(0.5 + last / count / 2)
     poses, deviations, from_prior = joined.tree
     return start._replace(poses=poses, deviations=deviations, from_prior=from_prior)
@@ -94,9 +96,9 @@ def _among(
     return some, trajectory._replace(poses=rows_of(trajectory.poses, rows))
 
 
-def _rows(trajectory: Trajectory, rows: np.ndarray) -> tuple:
-    """Poses, deviations and what comes from the prior."""
+def _rows(trajectory: Trajectory, rows: np.ndarray, dtype: Any) -> tuple:
+    """Poses, deviations and what comes from the prior, as precise as the report has them."""
     return jax.tree.map(
-        lambda part: np.asarray(part)[rows],
+        lambda part: np.asarray(part)[rows].astype(dtype),
         (trajectory.poses, trajectory.deviations, trajectory.from_prior),
     )

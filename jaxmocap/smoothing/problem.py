@@ -8,6 +8,7 @@ INPUTS: a Model, settings, measurements over time. OUTPUTS: SmoothingProblem, Tr
 moved; the prior on what frames share.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -53,7 +54,7 @@ class FirstPass(NamedTuple):
     frame_index: np.ndarray
     poses: Pose
     reports: Any
-    warnings: list[list[str]]
+    warnings: Sequence[Sequence[str]]
     sight_lines: SightLines | None = None
 
 

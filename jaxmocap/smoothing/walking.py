@@ -25,6 +25,7 @@ from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.evidence.markers import are_present
 from jaxmocap.evidence.posture import Usual
+from jaxmocap.geometry.rows import ComputedRows, Index, row_blocks
 from jaxmocap.smoothing.facing import averaged, unit
 
 # Standard deviations of averages over time, seconds: of the way, of where walkers face,
@@ -88,7 +89,7 @@ class Walk(NamedTuple):
     """A walker's head and hands over time, for either side as its own.
 
     Attributes:
-        R_walker_world: (T, 3, 3): ahead, left, up.
+        ahead: (T, 2) unit, where the walker faces.
         goes: (T,) from 0, whoever stands, to 1, whoever walks ahead.
         hands: (2, T, 3) of the left, of the right, about the crown: ahead, to its side, up;
             statures.
@@ -96,10 +97,15 @@ class Walk(NamedTuple):
             both hands to its side, the head's sway to its side, and how fast that grows.
     """
 
-    R_walker_world: np.ndarray
+    ahead: np.ndarray
     goes: np.ndarray
     hands: np.ndarray
     swing: np.ndarray
+
+    @property
+    def axes(self) -> np.ndarray:
+        """(T, 3, 3) from the world to the walker: ahead, left, up."""
+        return _level_axes(self.ahead)
 
     @classmethod
     def of(
@@ -126,10 +132,9 @@ class Walk(NamedTuple):
         goes = np.clip((fast - SLOW) / (BRISK - SLOW), 0, 1)
         goes = goes * np.clip(2 * np.sum(ahead * along, -1), 0, 1)
         turned = ahead + WAY_COUNTS * goes[:, None] * along
-        x, y = unit(averaged(turned, times, FACING_S)).T
+        ahead = unit(averaged(turned, times, FACING_S))
         goes = goes * np.clip((RUNNING - fast) / (RUNNING - HURRIED), 0, 1)
-        zero, one = np.zeros_like(x), np.ones_like(x)
-        R = np.stack([x, y, zero, -y, x, zero, zero, zero, one], -1).reshape(-1, 3, 3)
+        R = _level_axes(ahead)
         local = [np.einsum("tij,tj->ti", R, wrist - crown) / stature for wrist in wrists]
         path = crown[:, :2] / stature
         path = averaged(path, times, SMOOTH_S) - averaged(path, times, SWAY_S)
@@ -139,7 +144,18 @@ class Walk(NamedTuple):
             for own, other, mirror in zip(local, local[::-1], MIRRORS, strict=True)
         ]
         hands, swing = (np.stack(part) for part in zip(*each, strict=True))
-        return cls(R, goes, hands, swing)
+        return cls(ahead, goes, hands, swing)
+
+    def rows(self, rows: Index) -> "Walk":
+        """Some of its moments."""
+        return Walk(self.ahead[rows], self.goes[rows], self.hands[:, rows], self.swing[:, rows])
+
+
+def _level_axes(ahead: np.ndarray) -> np.ndarray:
+    """Rotations (T, 3, 3) whose rows are ahead, left, up, by (T, 2) ahead."""
+    x, y = ahead.T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    return np.stack([x, y, zero, -y, x, zero, zero, zero, one], -1).reshape(-1, 3, 3)
 
 
 # To the left is to its own side of the left, and the other way round.
@@ -178,7 +194,7 @@ def walkers_measurements(
     if not there.any() or len(times) < 2:
         return {}, 0.0
     rows = landmark_rows(("vertex", "wrist_l", "wrist_r"))
-    points = landmarks_over_time(model.skeleton, poses)[:, rows].astype(float)
+    points = landmarks_over_time(model.skeleton, poses, rows).astype(float)
     crown, *wrists = points.swapaxes(0, 1)
     stature = skeleton_stature(model.skeleton)
     walk = Walk.of(times, np.asarray(ahead, float)[:, :2], crown, wrists, stature)
@@ -189,30 +205,54 @@ def walkers_measurements(
     trunk = elbows.min(0)
     legs = trunk * float(model.no_foot_is_marked)
     each = [
-        *((habits.elbow, walk.hands[i], MIRRORS[i], elbows[i]) for i in range(2)),
-        *((habits.ankle, walk.swing[i], MIRRORS[i], legs) for i in range(2)),
-        (habits.pelvis, walk.swing[0], MIRRORS[0], trunk),
+        *((habits.elbow, MIRRORS[i], elbows[i]) for i in range(2)),
+        *((habits.ankle, MIRRORS[i], legs) for i in range(2)),
+        (habits.pelvis, MIRRORS[0], trunk),
     ]
-    placed = [_placed(walk, crown, stature, *one) for one in each]
-    usual = Usual(*(np.stack(part, 1).astype(model.dtype) for part in zip(*placed, strict=True)))
-    facing = walk.R_walker_world[:, 0].astype(model.dtype)
+    usual = Usual(
+        _usual_places(walk, crown, stature, [one[:2] for one in each], model.dtype),
+        _usual_roots(walk.ahead, stature, each, model.dtype),
+    )
+    facing = walk.axes[:, 0].astype(model.dtype)
     return {"facing": facing, "usual": usual}, float(trunk.sum())
 
 
-def _placed(
+def _usual_places(
     walk: Walk,
     crown: np.ndarray,
     stature: float,
-    habit: Habit,
-    features: np.ndarray,
-    mirror: np.ndarray,
-    weight: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Places (T, 3) and roots (T, 3, 3) of one landmark."""
-    R = walk.R_walker_world
-    local = (habit.constant + features @ habit.slopes) * mirror * stature
-    roots = R / (habit.deviations * stature)[:, None] * weight[:, None, None]
-    return crown + np.einsum("tji,tj->ti", R, local), roots
+    each: Sequence[tuple[Habit, np.ndarray]],
+    dtype: Any,
+) -> np.ndarray:
+    """(T, K, 3) where they usually are, by their habits and mirrors."""
+    places = np.empty((len(crown), len(each), 3), dtype)
+    for block in row_blocks(len(crown)):
+        some = walk.rows(block)
+        features = *some.hands, *some.swing, some.swing[0]
+        for k, ((habit, mirror), own) in enumerate(zip(each, features, strict=True)):
+            local = (habit.constant + own @ habit.slopes) * mirror * stature
+            there = np.einsum("tji,tj->ti", some.axes, local)
+            places[block, k] = crown[block] + there
+    return places
+
+
+def _usual_roots(
+    ahead: np.ndarray,
+    stature: float,
+    each: Sequence[tuple[Habit, np.ndarray, np.ndarray]],
+    dtype: Any,
+) -> ComputedRows:
+    """(T, K, 3, 3), by habits, mirrors and weights (T,): computed where they are asked for."""
+    # Infinite deviations leave nothing.
+    spreads = [(habit.deviations * stature)[:, None] for habit, _, _ in each]
+
+    def of_rows(rows: Index) -> np.ndarray:
+        R = _level_axes(ahead[rows])
+        weights = (weight[rows] for _, _, weight in each)
+        roots = [R / own * w[:, None, None] for own, w in zip(spreads, weights, strict=True)]
+        return np.stack(roots, 1).astype(dtype)
+
+    return ComputedRows((len(ahead), len(each), 3, 3), of_rows)
 
 
 def _measured(model: Model, markers_world: np.ndarray) -> np.ndarray:

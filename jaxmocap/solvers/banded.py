@@ -100,22 +100,24 @@ def inverse_blocks(factor: Factor, first: int = 0) -> np.ndarray:
         factor: of the matrix.
         first: frames before it are not asked for; their blocks are 0.
     """
-    upper = unpack_band(factor.columns, factor.frames)
-    size, width = upper.shape[1:]
-    own = np.zeros((factor.frames, size, size))
-    own[first:] = np.linalg.inv(upper[first:, :, :size])
-    U = own @ upper[:, :, size:]
-    noise = own @ own.swapaxes(1, 2)
-    blocks, reach = np.zeros_like(noise), width - size
+    width = factor.columns.shape[1]
+    size = len(factor.columns) // factor.frames
+    blocks, reach = np.zeros((factor.frames, size, size)), width - size
     # Of a frame and what follows it.
     joint = np.zeros((width, width))
-    for frame in reversed(range(first, factor.frames)):
-        joint[size:, size:] = joint[:reach, :reach].copy()
-        across = -U[frame] @ joint[size:, size:]
-        own_block = noise[frame] - across @ U[frame].T
-        # What rounding leaves unsymmetric would grow threefold from frame to frame.
-        blocks[frame] = joint[:size, :size] = (own_block + own_block.T) / 2
-        joint[:size, size:], joint[size:, :size] = across, across.T
+    for last in range(factor.frames, first, -FRAMES):
+        some = range(max(first, last - FRAMES), last)
+        upper = unpack_band(factor.columns[some.start * size : last * size], len(some))
+        own = np.linalg.inv(upper[:, :, :size])
+        U, noise = own @ upper[:, :, size:], own @ own.swapaxes(1, 2)
+        for frame in reversed(some):
+            row = frame - some.start
+            joint[size:, size:] = joint[:reach, :reach].copy()
+            across = -U[row] @ joint[size:, size:]
+            own_block = noise[row] - across @ U[row].T
+            # What rounding leaves unsymmetric would grow threefold from frame to frame.
+            blocks[frame] = joint[:size, :size] = (own_block + own_block.T) / 2
+            joint[:size, size:], joint[size:, :size] = across, across.T
     return blocks
 
 

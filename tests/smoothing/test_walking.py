@@ -50,7 +50,7 @@ def test_walkers_face_where_they_walk_and_not_where_hands_swing():
     points = markers((1.3, 0.0), turned=0.5)
     ahead = np.tile([np.cos(0.5), np.sin(0.5)], (len(TIMES), 1))
     walk = Walk.of(TIMES, ahead, points[:, 0], [points[:, 1], points[:, 2]], STATURE)
-    facing = walk.R_walker_world[:, 0]
+    facing = walk.axes[:, 0]
     assert np.degrees(np.arccos(facing[:, 0])).max() < 10
     assert walk.goes.min() == 1.0
 
@@ -64,7 +64,7 @@ def test_lifted_hands_leave_nothing_usual():
     hanging, samples = measured(STEPS["walks"])
     lifted, fewer = measured(STEPS["walks"], lift=0.4)
     assert samples > 0.9 * len(TIMES) and fewer < 0.01 * len(TIMES)
-    size = [np.abs(each["usual"].roots).max((1, 2, 3)).mean() for each in (hanging, lifted)]
+    size = [np.abs(each["usual"].roots[:]).max((1, 2, 3)).mean() for each in (hanging, lifted)]
     assert size[1] < 0.01 * size[0]
 
 

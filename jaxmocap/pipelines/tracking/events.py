@@ -52,7 +52,12 @@ class RecordingEvents:
         events = slice(start, int(np.flatnonzero(line.sample_index >= 0)[-1]) + 1)
         parts = (line.event_times, line.sample_index, line.frame_index)
         line = Timeline(*(part[events] for part in parts))
-        markers = interpolate_markers(times, recording.positions_world, line.event_times, causal)
+        if (line.sample_index >= 0).all():
+            # Nothing between the samples: none of them is in memory twice.
+            markers = recording.positions_world[first:][: len(line.sample_index)]
+        else:
+            positions = recording.positions_world
+            markers = interpolate_markers(times, positions, line.event_times, causal)
         without_video = [warnings.without_video(times, video.times, causal) for video in videos]
         return cls(recording, line, markers, first, without_video, cleaning)
 
@@ -67,7 +72,7 @@ class RecordingEvents:
         due = (self.timeline.frame_index[event] >= 0).tolist()
         return list(warnings.of_images(names, due, images))
 
-    def sample_warnings(self, of_events: Sequence[list[str]]) -> Iterator[tuple[str, ...]]:
+    def sample_warnings(self, of_events: Sequence[Sequence[str]]) -> Iterator[tuple[str, ...]]:
         """Warnings about every sample; what happened since the one before belongs to it."""
         gathered: list[str] = []
         for sample, own in zip(self.timeline.sample_index.tolist(), of_events, strict=True):

@@ -12,9 +12,11 @@ from time import perf_counter
 import jax
 import numpy as np
 
+from jaxmocap.body.pose import Pose
 from jaxmocap.capture.footage import ForwardReader
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.geometry.rows import GatheredRows
+from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.progress import Progress
 from jaxmocap.pipelines.tracking import warnings
@@ -32,25 +34,25 @@ def scanned(
 ) -> FirstPass:
     """Scan through the events, chunk by chunk."""
     began = perf_counter()
-    about_images: list[list[str]] = []
+    about_images: list[tuple[str, ...]] = []
     images = _images(events, readers, about_images) if readers else None
     tracker.compile_ahead(scan=True)
     state = tracker.init(events.markers_world[0])
-    times, about = events.timeline.event_times, []
+    times, about = events.timeline.event_times, list[tuple[str, ...]]()
     gathered = GatheredRows(len(times))
     for chunk in tracker.scan(state, times, events.markers_world, images, clock):
         if not about:
             began = clock.keep("first_call", began)
         gathered.put(len(about), (chunk.poses, chunk.reports))
         rows = range(len(chunk.events))
-        about += [list(warnings.of_step(_row(chunk.reports, row))) for row in rows]
+        about += [tuple(warnings.of_step(_row(chunk.reports, row))) for row in rows]
         # All stages together, as far as they did not run beside one another.
         stage, among = ("frame", chunk.frames) if chunk.frames else ("sample", len(rows))
         began = clock.keep(stage, began, among)
         show(len(about), len(times))
     poses, reports = gathered.tree
-    for step, of_images in zip(about, about_images, strict=False):
-        step += of_images
+    if about_images:
+        about = [step + images for step, images in zip(about, about_images, strict=True)]
     return _first_pass(events, poses, reports, about)
 
 
@@ -85,14 +87,16 @@ def stepped(
             final += own.timed("smooth", smoother.step, time, there, images, report)
         _keep_stages(clock, own, 1e3 * (perf_counter() - began), not event, images)
         steps.append((pose, report))
-        about.append([*warnings.of_step(report), *events.image_warnings(event, images)])
+        about.append((*warnings.of_step(report), *events.image_warnings(event, images)))
         show(event + 1, len(events.times))
     final += smoother.flush() if smoother else []
     poses, reports = jax.tree.map(lambda *parts: np.stack(parts), *steps)
     return _first_pass(events, poses, reports, about), final
 
 
-def _first_pass(events: RecordingEvents, poses, reports, about: list[list[str]]) -> FirstPass:
+def _first_pass(
+    events: RecordingEvents, poses: Pose, reports: StepReport, about: Sequence[tuple[str, ...]]
+) -> FirstPass:
     line = events.timeline
     return FirstPass(
         line.event_times, events.markers_world, line.frame_index, poses, reports, about
@@ -108,12 +112,12 @@ def _images_at(frames: np.ndarray, readers: Sequence[ForwardReader]) -> list[np.
 
 
 def _images(
-    events: RecordingEvents, readers: Sequence[ForwardReader], about: list[list[str]]
+    events: RecordingEvents, readers: Sequence[ForwardReader], about: list[tuple[str, ...]]
 ) -> Iterator[list[np.ndarray | None]]:
     """The images of each event; warnings about them are kept."""
     for event, frames in enumerate(events.timeline.frame_index):
         images = _images_at(frames, readers)
-        about.append(events.image_warnings(event, images))
+        about.append(tuple(events.image_warnings(event, images)))
         yield images
 
 

@@ -161,7 +161,6 @@ def _first_pass(events: RecordingEvents, tracker: HybridTracker, poses: Pose) ->
         none, none, none, np.zeros(count, np.int32),
     )  # fmt: skip
     reports = StepReport(*each)
-    about: list[list[str]] = [[] for _ in range(count)]
     return FirstPass(
-        line.event_times, events.markers_world, line.frame_index, poses, reports, about
+        line.event_times, events.markers_world, line.frame_index, poses, reports, [()] * count
     )

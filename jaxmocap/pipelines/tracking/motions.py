@@ -150,10 +150,12 @@ def _warnings(
 ) -> tuple[tuple[str, ...], ...]:
     """Of each sample, by its elbows' deviations (T, 2), metres, too."""
     before = (("no marker has been measured yet",),) * events.before
-    listed = list(events.sample_warnings(first_pass.warnings))
+    listed = events.sample_warnings(first_pass.warnings)
     unsure = map(warnings.of_elbows, elbow_deviations[len(before) :])
-    listed = [(*own, *more) for own, more in zip(listed, unsure, strict=True)]
-    return before + tuple(listed)
+    joined = ((*own, *more) for own, more in zip(listed, unsure, strict=True))
+    # One of those that are equal: a marker that is missing is missing for long.
+    once: dict[tuple[str, ...], tuple[str, ...]] = {}
+    return before + tuple(once.setdefault(own, own) for own in joined)
 
 
 @program("quick")
