@@ -116,7 +116,9 @@ class MarkerStream(MarkerSource):
                     messages.append(MarkerMessage((name,), (x, y, z), quaternion))
             if messages:
                 self.last_arrival = arrived
-                self._assembler.add(messages, self.clock.time(arrived, stamp), arrived, True)
+                is_prompt = not inlet.samples_available()
+                time = self.clock.time(arrived, stamp, is_prompt)
+                self._assembler.add(messages, time, arrived, True)
             self.last_look = arrived
 
     def _channels(self, info: Any) -> dict[str, tuple[int, tuple[float, ...], bool]]:

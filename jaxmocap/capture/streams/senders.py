@@ -62,9 +62,9 @@ class PacketSender:
         self.name, self.clock, self.packets, self.last_arrival = name, clock, 0, now
         self.bucket = TokenBucket(SENDER_PACKETS_HZ, SENDER_BURST, now)
 
-    def time(self, arrival: float, stamp: float | None) -> float:
+    def time(self, arrival: float, stamp: float | None, is_prompt: bool = True) -> float:
         """When a packet was sent, as far as its clock allows; see ``StreamClock``."""
-        return arrival if self.clock is None else self.clock.time(arrival, stamp)
+        return arrival if self.clock is None else self.clock.time(arrival, stamp, is_prompt)
 
 
 class PacketSenders:

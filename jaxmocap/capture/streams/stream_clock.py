@@ -8,7 +8,7 @@ import math
 
 # A step of the sender's clock is no network's delay, seconds.
 JUMP_S = 0.25
-# What a network or a busy machine has held up comes in together, within so many seconds.
+# What a network has held up comes in together, within so many seconds.
 HELD_UP_S = 0.25
 # So many seconds a second the clocks may drift apart.
 MAX_DRIFT = 2e-4
@@ -40,21 +40,27 @@ class StreamClock:
         self._window: tuple[float, float] | None = None
         self._wrong_rates: list[float] = []
         self._offset: float | None = None
+        # Whether a packet that was read promptly agrees with the offset.
+        self._is_sure = False
         self._stamp = self._arrival = 0.0
         self._late_since = math.inf
 
-    def time(self, arrival: float, stamp: float | None) -> float:
+    def time(self, arrival: float, stamp: float | None, is_prompt: bool = True) -> float:
         """When a packet was sent, never after it arrived.
 
-        The packet that was under way the shortest, of late, determines the clocks' offset.
+        The packet that was under way the shortest, of late, determines the clocks' offset. What was
+        not read promptly was held up here, for however long: it says nothing about its clock but
+        where that goes back.
 
         Args:
-            arrival: seconds.
+            arrival: seconds; when it was read.
             stamp: seconds on the sender's clock; None where it has none.
+            is_prompt: no other packet of this sender waited to be read after it.
         """
         if stamp is None or not abs(stamp) <= LARGEST_STAMP_S:
             return arrival
-        self._measure_rate(arrival, stamp)
+        if is_prompt:
+            self._measure_rate(arrival, stamp)
         offset = arrival - stamp
         if self.rate is not None:
             # Neither a rhythm nor a clock that was set.
@@ -65,12 +71,19 @@ class StreamClock:
         late, stamp_step = offset - self._offset, stamp - self._stamp
         is_stopped = stamp_step <= 0 and arrival - self._arrival > SEPARATE_S
         self._stamp, self._arrival = stamp, arrival
-        self._late_since = min(self._late_since, arrival) if late > JUMP_S else math.inf
-        is_held_up = stamp_step >= 0 and arrival - self._late_since <= HELD_UP_S
-        if late < -JUMP_S or (late > JUMP_S and not is_held_up):
-            self.jumps += 1
+        if late <= JUMP_S:
+            self._late_since = math.inf
+        elif is_prompt:
+            self._late_since = min(self._late_since, arrival)
+        lasts = is_prompt and arrival - self._late_since > HELD_UP_S
+        # Networks change the order of packets that are close together.
+        is_set = late < -JUMP_S or (late > JUMP_S and (lasts or stamp_step < -JUMP_S))
+        if is_set:
+            # An offset of packets that were held up was too large from the start.
+            self.jumps += self._is_sure or late > JUMP_S
             self._offset, self._late_since = offset, math.inf
-        elif is_stopped:
+        self._is_sure = is_prompt if is_set else self._is_sure or (is_prompt and late <= JUMP_S)
+        if is_stopped and not is_set:
             # A clock that does not run has no rhythm.
             self._offset = offset
             return arrival

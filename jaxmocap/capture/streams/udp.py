@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from time import monotonic
 from typing import ClassVar, NamedTuple
 
-from jaxmocap.capture.streams.osc import BadPacketError, parse_packet
+from jaxmocap.capture.streams.osc import BadPacketError, Packet, parse_packet
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.senders import PacketSender, PacketSenders, TokenBucket, fair_shares
 from jaxmocap.capture.streams.source import MarkerSource, SourceTable
@@ -119,32 +119,33 @@ class MarkerSocket(MarkerSource):
             try:
                 looked = self._now()
                 if select.select([self._socket], [], [], 0.1)[0]:
-                    self.take(self._waiting())
+                    self.take(*self._waiting())
                 else:
                     self.last_look = looked
             except (OSError, ValueError):
                 # The socket was closed meanwhile.
                 return
 
-    def _waiting(self) -> list[Datagram]:
-        """The datagrams that wait, as many as a moment fetches."""
+    def _waiting(self) -> tuple[list[Datagram], bool]:
+        """The datagrams that wait, as many as a moment fetches, and whether more may wait."""
         waiting, end = [], self._now() + FETCH_S
         while len(waiting) < MAX_BURST and self._now() < end:
             try:
                 content, source = self._socket.recvfrom(MAX_DATAGRAM_BYTES)
             except BlockingIOError:
-                break
+                return waiting, False
             except OSError:
                 # What some systems say where an answer of ours found nobody.
                 continue
             waiting.append(Datagram(self._now(), content, source[0], source[1]))
-        return waiting
+        return waiting, True
 
-    def take(self, datagrams: Sequence[Datagram]) -> None:
+    def take(self, datagrams: Sequence[Datagram], more_wait: bool = False) -> None:
         """Read datagrams: of each sender, and of all together, the newest where there are too many.
 
         Args:
             datagrams: in the order in which they came in.
+            more_wait: whether later ones are there already.
         """
         now = self._now()
         self.packets += len(datagrams)
@@ -166,24 +167,29 @@ class MarkerSocket(MarkerSource):
             chosen += [(datagram, sender) for datagram in queue[len(queue) - counts[sender] :]]
             self.ignored["flood"] += len(queue) - counts[sender]
         self._bucket.take(len(chosen))
-        for datagram, sender in sorted(chosen, key=lambda pair: pair[0].arrived):
-            self._read(datagram, sender)
+        in_order = sorted(chosen, key=lambda pair: pair[0].arrived)
+        read = [(*each, packet) for each in in_order if (packet := self._parsed(each[0]))]
+        newest = {} if more_wait else {sender: datagram for datagram, sender, _ in read}
+        for datagram, sender, packet in read:
+            is_prompt = newest.get(sender) is datagram
+            self.last_arrival = datagram.arrived
+            time = sender.time(datagram.arrived, packet.stamp, is_prompt)
+            self._assembler.add(packet.markers, time, datagram.arrived, packet.is_bundle)
         # Only now, so that nobody who looks meanwhile misses what came with them.
         self.last_look = now
 
-    def _read(self, datagram: Datagram, sender: PacketSender) -> None:
+    def _parsed(self, datagram: Datagram) -> Packet | None:
+        """What it says about markers; None where that is nothing, which is counted."""
         try:
             packet = parse_packet(datagram.content, self._raw)
         except BadPacketError as why:
             self.ignored[str(why)] += 1
-            return
+            return None
         self.ignored.update(packet.ignored)
-        if not packet.markers:
-            self.ignored["foreign"] += not packet.ignored
-            return
-        self.last_arrival = datagram.arrived
-        time = sender.time(datagram.arrived, packet.stamp)
-        self._assembler.add(packet.markers, time, datagram.arrived, packet.is_bundle)
+        if packet.markers:
+            return packet
+        self.ignored["foreign"] += not packet.ignored
+        return None
 
 
 def _bound_socket(address: Address) -> socket.socket:
