@@ -1,15 +1,16 @@
-"""``python -m bench.memory SAMPLES [--track] [--json FILE] [--plot FILE]``: memory.
+"""``python -m bench.memory SAMPLES... [--track] [--json FILE] [--plot FILE]``: memory.
 
-INPUTS: how many samples of three markers at 90 Hz, without a video.
-OUTPUTS: a process's memory over time, GB, while the files of a long motion are written, and
-while it is converted to each format of markers; with ``--track`` while it is tracked as well,
-which takes hours; Metrics.
+INPUTS: how many samples of three markers at 90 Hz, without a video; of several, one after another.
+OUTPUTS: a process's memory over time and its peak, GB, while the files of a long motion are
+written, and while it is converted to each format of markers; with ``--track`` while the command
+``track`` runs instead, which takes an hour or more for a million; Metrics.
 """
 
+import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from time import monotonic, sleep
@@ -49,6 +50,13 @@ class Use(NamedTuple):
     bytes: int
 
 
+class Watched(NamedTuple):
+    """A process that has ended: what it had over its time, and the most by the system's account."""
+
+    uses: list[Use]
+    peak_bytes: int
+
+
 def write_long(folder: Path, samples: int) -> None:
     """A person who sways for so many samples: ``recording.toml`` and ``motion.npz``."""
     skeleton, times = Skeleton.human(1.75), np.arange(samples) / MARKER_RATE
@@ -86,20 +94,23 @@ def write_tracked(recording: str, motion: str, out: str) -> None:
     write_outputs(load_motion(motion), Recording.load(recording), out, progress=False)
 
 
-def watch(code: str, arguments: Sequence[str]) -> Iterator[Use]:
+def watch(code: str, arguments: Sequence[str]) -> Watched:
     """Run Python code with arguments, and look at its memory until it ends.
 
     Raises:
         CalledProcessError: it did not end well.
     """
-    start = monotonic()
+    start, uses = monotonic(), []
     process = subprocess.Popen([sys.executable, "-c", code, *arguments])
-    while process.poll() is None:
+    while not (waited := os.wait4(process.pid, os.WNOHANG))[0]:
         if resident := resident_bytes(process.pid):
-            yield Use(monotonic() - start, resident)
+            uses.append(Use(monotonic() - start, resident))
         sleep(INTERVAL_S)
+    _, status, usage = waited
+    process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         raise subprocess.CalledProcessError(process.returncode, arguments)
+    return Watched(uses, 1024 * usage.ru_maxrss)
 
 
 def resident_bytes(process: int) -> int:
@@ -136,35 +147,48 @@ def draw(runs: Mapping[str, Sequence[Use]], path: str | Path) -> None:
     figure.savefig(path, dpi=110)
 
 
+def runs_of(folder: Path, track: bool) -> dict[str, tuple[str, list[str]]]:
+    """Name -> code and arguments, of what is done with a folder of ``write_long``."""
+    recording, motion = str(folder / "recording.toml"), str(folder / "motion.npz")
+    if track:
+        return {"track": (COMMAND, ["track", recording, "--out", str(folder / "tracked")])}
+    runs = {"write": (WRITE, [recording, motion, str(folder / "written")])}
+    for suffix in ("trc", "csv"):
+        arguments = ["convert", motion, str(folder / f"joints.{suffix}")]
+        runs[f"convert to {suffix}"] = (COMMAND, arguments)
+    return runs
+
+
 def main() -> None:
-    """Write, convert, print."""
+    """Write and convert, or track; print."""
     parser = command("bench.memory", __doc__)
-    parser.add_argument("samples", type=int)
-    parser.add_argument("--track", action="store_true", help="track as well")
+    parser.add_argument("samples", type=int, nargs="+")
+    parser.add_argument("--track", action="store_true", help="track, and nothing else")
     parser.add_argument("--json", metavar="FILE", help="write the metrics")
     parser.add_argument("--plot", metavar="FILE", help="draw the memory over time")
     options = parser.parse_args()
     metrics, drawn = [], {}
-    with tempfile.TemporaryDirectory() as directory:
-        folder = Path(directory)
-        write_long(folder, options.samples)
-        recording, motion = str(folder / "recording.toml"), str(folder / "motion.npz")
-        runs = {"write": (WRITE, [recording, motion, str(folder / "written")])}
-        for suffix in ("trc", "csv"):
-            arguments = ["convert", motion, str(folder / f"joints.{suffix}")]
-            runs[f"convert to {suffix}"] = (COMMAND, arguments)
-        if options.track:
-            runs["track"] = (COMMAND, ["track", recording, "--out", str(folder / "tracked")])
-        for name, run in runs.items():
-            uses = list(watch(*run))
-            most = max(use.bytes for use in uses) / GB
-            print(f"{name}: {options.samples} samples, most memory {most:.2f} GB", flush=True)
-            drawn[name] = over_time(uses)
-            for end in drawn[name]:
-                print(f"{end.seconds:8.1f} s  {end.bytes / GB:5.2f} GB", flush=True)
-            metrics.append(Metric(f"memory: {name}, {options.samples} samples", most, "GB"))
-        size = (folder / "written" / "recording.rrd").stat().st_size
-        print(f"recording.rrd: {size / GB:.2f} GB")
+    peaks: dict[str, list[int]] = {}
+    for samples in options.samples:
+        with tempfile.TemporaryDirectory() as directory:
+            folder = Path(directory)
+            write_long(folder, samples)
+            for name, run in runs_of(folder, options.track).items():
+                watched = watch(*run)
+                most = watched.peak_bytes / GB
+                print(f"{name}: {samples} samples, most memory {most:.2f} GB", flush=True)
+                drawn[name] = over_time(watched.uses)
+                for end in drawn[name]:
+                    print(f"{end.seconds:8.1f} s  {end.bytes / GB:5.2f} GB", flush=True)
+                metrics.append(Metric(f"memory: {name}, {samples} samples", most, "GB"))
+                peaks.setdefault(name, []).append(watched.peak_bytes)
+            (size,) = (path.stat().st_size for path in folder.glob("*/recording.rrd"))
+            print(f"recording.rrd: {size / GB:.2f} GB")
+    for name, of_name in peaks.items():
+        if len(of_name) > 1:
+            more = options.samples[-1] - options.samples[0]
+            slope = (of_name[-1] - of_name[0]) / more / 1e3
+            print(f"{name}: {slope:.2f} kB more for each further sample")
     if options.plot:
         draw(drawn, options.plot)
     if options.json:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # Samples of a motion in a recording, at most: 50 minutes at 30 Hz.
 MOST_SAMPLES = 90_000
 # Samples that the viewer's library takes at once: it needs twenty times what they are in the file.
-SAMPLES_AT_ONCE = 8192
+SAMPLES_AT_ONCE = 1024
 
 
 @dataclass(frozen=True)

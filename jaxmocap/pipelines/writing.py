@@ -17,6 +17,7 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.video import FrameSource, TimedImage
+from jaxmocap.compilation.freed_memory import give_back
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import save_motion
@@ -139,10 +140,12 @@ def write_outputs(
     """
     folder = tracked_folder(directory, recording, formats.more_files)
     videos, warnings = open_footage(recording)
+    give_back()
     files = folder.write(
         lambda stage: write_numbers(motion, recording, stage, warnings, warn=warn, formats=formats),
         more_follows=True,
     )
+    give_back()
     return files + folder.write(
         lambda stage: _write_pictures(motion, recording, videos, stage, settings, progress)
     )
@@ -237,15 +240,7 @@ def write_motion(
         The files that were written.
     """
     files = [folder / name for name in MOTION_FILES]
-    R_file_world = R_WORLD_OF_UP[formats.up].T
-    points = motion.joint_positions()
-    joints = {
-        name: ComputedRows(
-            (len(points), 3), lambda rows, i=i: to_world(R_file_world, points[rows, i])
-        )
-        for i, name in enumerate(LANDMARKS)
-    }
-    write_trc(files[0], motion.times, joints)
+    _write_joints(files[0], motion, formats)
     sentences = {files[1]: write_mot(files[1], motion), files[2]: write_isb(files[2], motion)}
     save_motion(files[3], motion)
     for path in files[4:]:
@@ -261,6 +256,19 @@ def write_motion(
     if (step := shown_every(motion)) > 1:
         warn(f"recording.rrd: one sample in {step}, the other files have all")
     return files
+
+
+def _write_joints(path: Path, motion: Motion, formats: MotionFormats) -> None:
+    """The landmarks over time, which nothing else needs."""
+    R_file_world = R_WORLD_OF_UP[formats.up].T
+    points = motion.joint_positions()
+    joints = {
+        name: ComputedRows(
+            (len(points), 3), lambda rows, i=i: to_world(R_file_world, points[rows, i])
+        )
+        for i, name in enumerate(LANDMARKS)
+    }
+    write_trc(path, motion.times, joints)
 
 
 def with_refined_cameras(recording: Recording, motion: Motion) -> Recording:

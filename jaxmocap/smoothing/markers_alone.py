@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.proportions import PROPORTIONS
+from jaxmocap.compilation.freed_memory import give_back
 from jaxmocap.geometry.rows import GatheredRows
 from jaxmocap.smoothing.batch import FINELY, measurements_of
 from jaxmocap.smoothing.linearise import rows_of, smooth_poses
@@ -80,6 +81,7 @@ def smooth_markers(
         poses = smooth_poses(*sized, FINELY).trajectory.poses
         solved = with_deviations(own, at._replace(poses=poses), FINELY[-1])
         joined.put(first, _rows(solved, np.arange(first, last) - rows[0], model.dtype))
+        give_back()
         show(0.5 + last / count / 2)
     poses, deviations, from_prior = joined.tree
     return start._replace(poses=poses, deviations=deviations, from_prior=from_prior)
