@@ -22,6 +22,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+
+# As pytest has it, for the command line that a case names.
+sys.path.append(str(Path(__file__).parents[1] / "subjects"))
 from hostile_bytes import BYTES, MOST, recoded
 from hostile_kinds import ARGUMENTS, BY_KIND, KINDS, MORE_COMMANDS, MUTATIONS, Kind
 from hostile_pool import Answer, Pool

@@ -5,6 +5,7 @@ Whatever fails is named with the line that runs it again; ``hostile_inputs.py`` 
 
 import os
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -58,6 +59,11 @@ def test_two_thousand_mutated_inputs_end_well_or_in_one_sentence(pool, tmp_path)
     cases = run_cases(ANOTHER_SEED, range(MANY), pool, tmp_path, costly=True)
     print(table(cases))
     assert not (actual := failures(cases)), actual
+
+
+def test_the_command_line_that_a_case_names_runs():
+    script = Path(__file__).with_name("hostile_inputs.py")
+    subprocess.run([sys.executable, script, "--help"], check=True, stdout=subprocess.DEVNULL)
 
 
 def test_a_case_is_the_same_each_time_it_is_made(pool, tmp_path):
