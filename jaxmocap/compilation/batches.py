@@ -3,12 +3,16 @@
 INPUTS: stacked entries. OUTPUTS: stacked results, float64.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import jax
 import numpy as np
+
+# Batches that are computed before the first of them is taken, at most.
+WAITING = 8
 
 
 def in_batches(
@@ -24,15 +28,30 @@ def in_batches(
         result = call(*jax.tree.map(lambda part: np.asarray(part)[rows], stacked))
         return [np.asarray(part, np.float64) for part in jax.tree.leaves(result)]
 
-    each = workers.map if workers else map
+    each = _beside(of_batch, _batches(count, size), workers)
     # Filled as they come: in parts and joined, all of it would be in memory twice.
     joined: list[np.ndarray] = []
-    for i, parts in enumerate(each(of_batch, _batches(count, size))):
+    for i, parts in enumerate(each):
         first = i * size
         joined = joined or [np.empty((count, *part.shape[1:])) for part in parts]
         for every, some in zip(joined, parts, strict=True):
             every[first : first + size] = some[: count - first]
     return joined
+
+
+def _beside(
+    call: Callable, batches: Iterator[np.ndarray], workers: ThreadPoolExecutor | None
+) -> Iterator[list[np.ndarray]]:
+    """Results in order; few of them wait to be taken."""
+    if workers is None:
+        yield from map(call, batches)
+        return
+    waiting = deque[Future]()
+    for rows in batches:
+        waiting.append(workers.submit(call, rows))
+        if len(waiting) > WAITING:
+            yield waiting.popleft().result()
+    yield from (each.result() for each in waiting)
 
 
 def _batches(count: int, size: int) -> Iterator[np.ndarray]:

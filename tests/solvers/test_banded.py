@@ -1,5 +1,7 @@
 """Banded systems against dense ones."""
 
+import tracemalloc
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -78,3 +80,16 @@ def test_inverse_blocks_stay_exact_over_long_stiff_trajectories():
         unit[frame] = np.eye(size)
         expected = banded.solve_factored(factor, unit)[frame]
         np.testing.assert_allclose(blocks[frame], expected, rtol=1e-6, atol=1e-9)
+
+
+def test_inverse_blocks_of_a_long_trajectory_take_little_more_than_themselves():
+    frames, size, reach = 2000, 12, 2
+    rows = np.zeros((frames, size, (reach + 1) * size))
+    rows[:, :, :size] = np.eye(size)
+    factor = banded.factorise(rows)
+    tracemalloc.start()
+    blocks = banded.inverse_blocks(factor)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_allclose(blocks, np.broadcast_to(np.eye(size), blocks.shape))
+    assert most < 1.5 * blocks.nbytes
