@@ -5,13 +5,13 @@ INPUTS: poses, pairs of the rim and contours. OUTPUTS: a predicted pose, a solve
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.compilation.programs import Program, program
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.silhouette.fit.correspond import pairs_of
 from jaxmocap.silhouette.points import BodyPoints
@@ -39,7 +39,7 @@ class ContourPairs(NamedTuple):
     along_weight: Array | float = 0.0
 
 
-@jax.jit
+@program("full")
 def predicted_pose(skeleton: Skeleton, pose: Pose, velocity: Array, ahead: Array) -> Pose:
     """A pose (..., ) moved on by a velocity (6 + D,) for so many seconds, within the limits."""
     moved = retract(pose, velocity * ahead)
@@ -47,10 +47,10 @@ def predicted_pose(skeleton: Skeleton, pose: Pose, velocity: Array, ahead: Array
     return moved._replace(angles=jnp.clip(moved.angles, low, high))
 
 
-free_pose = jax.jit(without_followers)
+free_pose = Program(without_followers, "free_pose", effort="full")
 
 
-@jax.jit
+@program("full")
 def fit(
     skeleton: Skeleton,
     cameras: Camera,
@@ -68,7 +68,7 @@ def fit(
     return solve_pose(skeleton, pose, rays, settings, prior, beside=beside, morph=morph)
 
 
-@jax.jit
+@program("full")
 def velocity_between(before: Pose, now: Pose, between: Array) -> Array:
     """(6 + D,) metres and radians per second from one pose to another, seconds later."""
     return difference(now, before) / between

@@ -13,6 +13,7 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.surfaces.parts import determined_landmarks
+from jaxmocap.compilation.programs import Program, program
 
 # Deviation of a landmark, metres.
 LANDMARK_DEVIATION_M = 0.02
@@ -20,7 +21,7 @@ LANDMARK_DEVIATION_M = 0.02
 RELAXED_DEVIATION = 1.0
 # Of Gauss and Newton.
 STEPS = 40
-landmark_points = jax.jit(landmarks)
+landmark_points = Program(landmarks, "landmarks", effort="quick")
 
 
 def pose_at_landmarks(skeleton: Skeleton, points_world: np.ndarray) -> Pose:
@@ -92,7 +93,7 @@ def _quaternion(R: np.ndarray) -> np.ndarray:
     return np.linalg.eigh(K)[1][:, -1]
 
 
-@jax.jit
+@program("full")
 def _fitted(skeleton: Skeleton, start: Pose, points: Array) -> Pose:
     """Gauss-Newton from a placed pose, within the limits."""
     is_measured = jnp.isfinite(points)

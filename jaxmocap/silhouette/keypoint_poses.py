@@ -26,6 +26,7 @@ from jaxmocap.body.proportions import LENGTHS
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.batches import in_batches
+from jaxmocap.compilation.programs import program
 from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.balance import Balance
 from jaxmocap.evidence.ground import FeetOnFloor
@@ -177,7 +178,7 @@ def measurements(lines: SightLines) -> dict:
     }
 
 
-@jax.jit
+@program("full")
 def _minima(
     terms: tuple[Term, ...], model: Model, measured: Measurements
 ) -> tuple[Array, Array, Array, Array, Array]:

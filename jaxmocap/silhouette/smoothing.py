@@ -23,11 +23,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import Sites, landmarks
+from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.model import Model
+from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.settings import group, settings
 from jaxmocap.evidence.posture import EstimatedPose, NearEstimate
 from jaxmocap.evidence.smoothness import REACH, accelerations_of, smoothness
@@ -196,16 +196,9 @@ def _problem(
 
 def _accelerations(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> np.ndarray:
     """(L,) each landmark's, m / s^2 * sqrt(s), root mean square."""
-    (places,) = in_batches(partial(_landmarks, skeleton), (poses,), FRAMES_A_CALL)
-    squares = accelerations_of(times, places) ** 2
+    places = landmarks_over_time(skeleton, poses).astype(float)
+    squares = accelerations_of(times, places.reshape(len(times), -1)) ** 2
     return np.sqrt(squares.reshape(len(squares), -1, 3).mean((0, 2)))
-
-
-@jax.jit
-def _landmarks(skeleton: Skeleton, poses: Pose) -> Array:
-    """(T, 3 L)."""
-    points = jax.vmap(partial(landmarks, skeleton))(poses)
-    return points.reshape(len(points), -1)
 
 
 def _moved(

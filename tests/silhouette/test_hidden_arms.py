@@ -145,7 +145,7 @@ def test_an_arm_behind_a_box_is_not_seen_and_stays(tracker, state, box):
 
 @pytest.mark.parametrize("box", [False, True])
 def test_the_outlines_of_what_hides_an_arm_tell_nothing_of_it(tracker, state, box):
-    compiled = fit._cache_size()  # type: ignore[attr-defined]
+    compiled = fit.kinds
     before = state._replace(pose=AHEAD)
     after, _, report = tracker.step(before, 0.0, boxed(tracker, *FOREARM if box else ()))
     elbow, knee = (ROOT_DOF + BODY.tree.joint(name) for name in ("elbow_flex_l", "knee_flexion_l"))
@@ -153,7 +153,7 @@ def test_the_outlines_of_what_hides_an_arm_tell_nothing_of_it(tracker, state, bo
     assert precision[knee] > 1e3 and (precision[elbow] == 0 if box else precision[elbow] > 1e3)
     # The next frame's pose has it where it is expected.
     assert after.determined[elbow] != box and after.determined[knee]
-    assert fit._cache_size() == compiled  # type: ignore[attr-defined]
+    assert fit.kinds == compiled
 
 
 @pytest.mark.parametrize(("half", "unseen"), [(0, {0, 1}), (1, {1})])

@@ -95,12 +95,12 @@ def test_a_person_is_found_and_then_kept_without_the_cameras_that_fail(tracker, 
     assert report.used.all() and report.matched_shares.min() > 0.7
     actual = off_by(pose, truth)
     assert actual.mean() < 0.5 * before and actual.mean() < 0.03
-    compiled = fit._cache_size()  # type: ignore[attr-defined]
+    compiled = fit.kinds
     black = [np.zeros_like(images[0]), None, *images[2:]]
     state, pose, report = tracker.step(state, 0.1, black)
     np.testing.assert_array_equal(report.used, [False, False, True, True])
     assert off_by(pose, truth).mean() < 0.04
-    assert fit._cache_size() == compiled  # type: ignore[attr-defined]
+    assert fit.kinds == compiled
 
 
 def test_starts_far_off_are_found_coarse_to_fine_and_not_by_the_full_surface_alone(

@@ -10,6 +10,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints, Surface, posed
+from jaxmocap.compilation.programs import program
 from jaxmocap.geometry.cameras import Camera, depth, on_host, pixels_per_metre
 from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance
 from jaxmocap.silhouette.recovery.limb_likelihood import (
@@ -121,7 +122,7 @@ class EvidenceFinder:
         return np.any(self.nodes[2 * number : 2 * number + 2], 0)
 
 
-@jax.jit
+@program("full")
 def _obstacles(skeleton: Skeleton, pose: Pose, rings: BodyPoints) -> Obstacles:
     """Parts of a body in a pose."""
     return Obstacles.of(posed(forward(skeleton, pose), rings))

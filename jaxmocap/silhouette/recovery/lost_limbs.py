@@ -22,6 +22,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.compilation.programs import program
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.silhouette.recovery import limb_likelihood
 from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance, chromaticity_at
@@ -45,7 +46,7 @@ from jaxmocap.silhouette.recovery.settings import LimbSearchSettings, RecoverySe
 _explained = jax.jit(limb_likelihood.explained_log_ratio, static_argnames=("likelihood", "least"))
 
 
-@jax.jit
+@program("full")
 def _log_ratios_of_parts(
     skeleton: Skeleton, cameras: Camera, pose: Pose, parts: LimbChain, evidence: LimbEvidence
 ) -> Array:
@@ -293,7 +294,7 @@ class LimbRecovery:
         return float(_explained(*body, pose, limb, evidence, likelihood=likelihood, least=least))
 
 
-@jax.jit
+@program("full")
 def _distance(skeleton: Skeleton, pose: Pose, limb: LimbChain, angles: Array) -> Array:
     """() metres by which other angles (K,) move the ends of a limb's bones, the most."""
     poses = pose, with_angles(pose, limb, angles)

@@ -14,6 +14,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints, Surface, posed
+from jaxmocap.compilation.programs import program
 from jaxmocap.geometry.cameras import Camera, depth, project
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
@@ -106,7 +107,7 @@ class BodyProjector:
         return np.asarray(pixels), np.asarray(depths)
 
 
-@jax.jit
+@program("full")
 def body_pixels(
     skeleton: Skeleton, pose: Pose, cameras: Camera, points: BodyPoints
 ) -> tuple[Array, Array]:

@@ -6,11 +6,11 @@ OUTPUTS: the surface and its low-passes; the rim that each camera sees.
 
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 from jax import Array
 
 from jaxmocap.body.surfaces.surface import low_pass, resampled, rest_nodes, surface_from_rest
+from jaxmocap.compilation.programs import program
 from jaxmocap.geometry import twists
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.silhouette.surfaces.body_shape import FULL
@@ -65,7 +65,7 @@ class RigidSurface:
         return self._tracer.rim(_projected(self.nodes[level], T_world_object, cameras))
 
 
-@jax.jit
+@program("full")
 def _projected(nodes: Array, T_world_object: Array, cameras: Camera) -> ProjectedNodes:
     x, y, z = twists.move(T_world_object.astype(nodes.dtype), nodes).T
     return on_canvases((x, y, z), cameras, RIM)

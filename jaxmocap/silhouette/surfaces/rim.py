@@ -10,6 +10,7 @@ along the surface to where it stands out farthest. The rim is found anew in ever
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -28,6 +29,7 @@ from jaxmocap.body.surfaces.surface import (
     resampled,
     skinned,
 )
+from jaxmocap.compilation.programs import Program
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, camera_components, pixel_components
 from jaxmocap.images.regions import Region, region_around
 from jaxmocap.silhouette.surfaces.body_shape import FULL, BodyShape
@@ -193,6 +195,19 @@ class RimTracer:
         return nodes
 
 
+@lru_cache
+def _projection(settings: RimSettings) -> Program:
+    """The program of what C cameras see of all nodes: their places on canvases about the person."""
+
+    def projected_nodes(
+        skin: Skin, morph: Morph | None, skeleton: Skeleton, pose: Pose, cameras: Camera
+    ) -> ProjectedNodes:
+        skin = skin if morph is None else morphed_skin(skin, morph, pose.angles)
+        return on_canvases(skinned(forward(skeleton, pose), skin), cameras, settings)
+
+    return Program(projected_nodes, "projected_nodes", settings, "full")
+
+
 class RimFinder:
     """Finds rims of surfaces that are alike node for node.
 
@@ -217,18 +232,11 @@ class RimFinder:
         if morphing is not None and morphing.drivers:
             self.morph = morph_around(morphing, skeleton.tree, surface, joints, spacing)
         self._tracer = RimTracer(self.initial_shape.surface, self.settings)
-        self._project = jax.jit(self._projected)
+        self._project = _projection(self.settings)
 
     def shape_of(self, skeleton: Skeleton, surface: Surface) -> BodyShape:
         """Another shape of the same person: a surface of as many nodes, around a skeleton."""
         return BodyShape.of(skeleton, surface, self.settings.levels)
-
-    def _projected(
-        self, skin: Skin, morph: Morph | None, skeleton: Skeleton, pose: Pose, cameras: Camera
-    ) -> ProjectedNodes:
-        """What C cameras see of all nodes; their places on canvases about the person."""
-        skin = skin if morph is None else morphed_skin(skin, morph, pose.angles)
-        return on_canvases(skinned(forward(skeleton, pose), skin), cameras, self.settings)
 
     def find(self, shape: BodyShape, pose: Pose, cameras: Camera, level: int = FULL) -> Rim:
         """The rims as C cameras (stacked) see them, of the surface or of one of its low-passes."""
