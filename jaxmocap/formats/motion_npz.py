@@ -11,7 +11,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.model_files import HUMAN, bodies, joints_of_models, read_model
@@ -19,6 +18,7 @@ from jaxmocap.body.motion import Motion, Report, near_origin
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, joint_columns, load_skeleton
 from jaxmocap.body.tree import ROOT_DOF, Tree
+from jaxmocap.compilation.arrays import on_device
 from jaxmocap.formats.files.arrays import INTEGERS, NAMES, TEXT, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.json_text import parse_json
@@ -166,7 +166,7 @@ def _skeleton(file: NpzArrays) -> Skeleton:
     body = file.read(_BODY_SPECS)
     _check_body(file.path, body)
     parts = joint_columns([rows[joint] for joint in tree.joints], read_model(HUMAN).root)
-    parts |= {name: jnp.asarray(body[f"skeleton.{name}"], float) for name in _SKELETON_FIELDS}
+    parts |= {name: on_device(body[f"skeleton.{name}"]) for name in _SKELETON_FIELDS}
     searched = tuple(rows[joint].get("limb", "") for joint in tree.joints)
     return Skeleton(tree=replace(tree, segments=ours.segments, searched=searched), **parts)
 

@@ -17,6 +17,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Frames
+from jaxmocap.compilation.arrays import on_device
 from jaxmocap.geometry.fourier import cosine_matrix, fourier_matrix, linear_matrix
 from jaxmocap.geometry.rotations import HIGHEST, rotate
 
@@ -132,7 +133,7 @@ def surface_from_rest(
     kept = np.take_along_axis(weights, bones, 1)
     kept = kept / kept.sum(1, keepdims=True)
     places = nodes[:, None] - joints[bones]
-    points = BodyPoints(bones, jnp.asarray(places, float), jnp.asarray(kept, float))
+    points = BodyPoints(bones, on_device(places), on_device(kept))
     return Surface(tuple(patches), points)
 
 
@@ -211,7 +212,7 @@ def low_pass(surface: Surface, joints: np.ndarray, harmonics: int, along: int) -
         onto = cosine_matrix(patch.along, along)
         smooth = np.einsum("av,vuc,bu->abc", onto, grid, across, optimize=True)
         nodes[patch.nodes] = smooth.reshape(-1, 3)
-    places = jnp.asarray(nodes[:, None] - joints[bones], float)
+    places = on_device(nodes[:, None] - joints[bones])
     return replace(surface, points=surface.points._replace(points_bone=places))
 
 
@@ -233,7 +234,7 @@ def skin_of(surface: Surface, joints: np.ndarray) -> Skin:
     """A surface around bones with these joints (B, 3) at rest, for ``skinned``."""
     dtype = jnp.asarray(surface.points.points_bone).dtype
     weights, rest = every_share(surface.points, len(joints)), rest_nodes(surface, joints)
-    return Skin(*(jnp.asarray(part, dtype) for part in (weights.T, rest.T, joints)))
+    return Skin(*(on_device(part, dtype) for part in (weights.T, rest.T, joints)))
 
 
 def skinned(frames: Frames, skin: Skin) -> tuple[Array, Array, Array]:

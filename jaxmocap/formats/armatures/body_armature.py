@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -21,6 +20,7 @@ from jaxmocap.body.motion import Motion, near_origin
 from jaxmocap.body.orientations import body_turns, local_turns, matrices
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, with_wrists
+from jaxmocap.compilation.arrays import on_device
 from jaxmocap.formats.armatures.armature import Armature
 from jaxmocap.formats.armatures.joint_names import (
     CONVENTIONS,
@@ -218,8 +218,8 @@ def _skeleton_of(
         raise InputError(path, f"bones of a person {height:.2f} m tall, expected 0.5 to 2.5 m")
     return replace(
         Skeleton.human(height),
-        lengths=jnp.asarray(lengths, float),
-        directions=jnp.asarray(directions, float),
+        lengths=on_device(lengths),
+        directions=on_device(directions),
     )
 
 

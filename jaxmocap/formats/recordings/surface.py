@@ -7,13 +7,13 @@ INPUTS: .npz with ``patch_names`` (P), ``patch_sizes`` (P, 2: along, around), ``
 
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import BodyPoints, Patch, Surface, rest_nodes
 from jaxmocap.body.tree import Tree
+from jaxmocap.compilation.arrays import on_device
 from jaxmocap.formats.files.arrays import INTEGERS, NAMES, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_repr
@@ -82,8 +82,8 @@ def load_surface(path: str | Path, tree: Tree) -> Surface:
         problem = f"found {bones.max()}, expected an index below {len(index)}"
         raise InputError(path, f"bones: {problem}, of bone_names")
     patches = _patches(path, arrays["patch_names"].tolist(), sizes)
-    points_bone = jnp.asarray(arrays["points_bone"], float)
-    return Surface(patches, BodyPoints(index[bones], points_bone, jnp.asarray(shares, float)))
+    points_bone = on_device(arrays["points_bone"])
+    return Surface(patches, BodyPoints(index[bones], points_bone, on_device(shares)))
 
 
 def check_surface_extent(path: str | Path, surface: Surface, skeleton: Skeleton) -> None:

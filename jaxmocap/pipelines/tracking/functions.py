@@ -4,12 +4,12 @@ INPUTS: a Recording. OUTPUTS: Events.
 """
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.capture.footage import forward_readers
+from jaxmocap.compilation.arrays import on_device
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.settings import Settings
@@ -65,4 +65,4 @@ def first_pass(
     measured["elbows"] = np.where(filmed, points[:, ELBOWS], np.nan)
     parts = (found.times - found.times[0], dict(measured), found.poses)
     dtype = tracker.model.dtype
-    return Events(*jax.tree.map(lambda part: jnp.asarray(np.asarray(part), dtype), parts))
+    return Events(*jax.tree.map(lambda part: on_device(part, dtype), parts))
