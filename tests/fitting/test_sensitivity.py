@@ -28,6 +28,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.evidence.silhouettes import project_limbs
+from jaxmocap.fitting import sensitivity
 from jaxmocap.fitting.sensitivity import Sensitivity
 from jaxmocap.geometry.outlines import Discs, touch
 from jaxmocap.geometry.rotations import exp
@@ -41,6 +42,14 @@ APART = 3.0
 STEP = 1e-5
 # Newton steps to the solution.
 SETTLED = 4
+
+
+@pytest.fixture(autouse=True, scope="module")
+def small_batches():
+    """As many frames in a call as there are: none is worked through that only fills it up."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sensitivity, "A_CALL", COUNT)
+        yield
 
 
 @jax.jit

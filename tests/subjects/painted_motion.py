@@ -33,6 +33,8 @@ CAMERAS = (
     camera_at((1.2, -2.4, 1.4), (0.0, 0.0, 1.15)),
 )
 CELLS, CELL_PX, RATE = 48, 8, 30
+SIDE_PX = CELLS * CELL_PX
+CORNER = (np.array(SIZE) - SIDE_PX) // 2
 # Stated, so that what is tested does not move with what is tuned on real people; who is painted as
 # he is modelled errs hardly alike from cell to cell.
 SETTINGS = SmoothingSettings(
@@ -100,19 +102,20 @@ def elbow_errors(poses: Pose) -> np.ndarray:
 @cache
 def painted_grids(camera: int, count: int) -> PaintedGrids:
     """The motion in one camera, on grids about the upper body."""
-    lens, wall, side = CAMERAS[camera], room(SIZE), CELLS * CELL_PX
-    corner = np.array([(SIZE[0] - side) // 2, (SIZE[1] - side) // 2])
-    grids = []
-    for pose in (Pose(*each) for each in zip(*truth(count), strict=True)):
-        shares = paint(lens, PERSON, pose, wall)[1:]
-        grids.append([_averaged(share, corner, side) for share in shares])
-    person, forearms = np.stack(grids, 1)
-    return PaintedGrids(person, forearms, np.tile(corner - 0.5, (count, 1)))
+    person, forearms = np.stack([painted_frame(camera, i) for i in range(count)], 1)
+    return PaintedGrids(person, forearms, np.tile(CORNER - 0.5, (count, 1)))
 
 
-def _averaged(share: np.ndarray, corner: np.ndarray, side: int) -> np.ndarray:
-    x, y = corner
-    window = share[y : y + side, x : x + side]
+@cache
+def painted_frame(camera: int, number: int) -> list[np.ndarray]:
+    """The person and the forearms (S, S) of one of the frames, of which motions share the first."""
+    shares = paint(CAMERAS[camera], PERSON, pose_at(number / RATE), room(SIZE))[1:]
+    return [_averaged(share) for share in shares]
+
+
+def _averaged(share: np.ndarray) -> np.ndarray:
+    x, y = CORNER
+    window = share[y : y + SIDE_PX, x : x + SIDE_PX]
     return cv2.resize(window, (CELLS, CELLS), interpolation=cv2.INTER_AREA)
 
 
