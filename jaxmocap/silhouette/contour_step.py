@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxmocap.compilation.programs import program
 from jaxmocap.geometry import twists
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.lines import Lines, incidence
@@ -76,7 +75,7 @@ def contour_of_wire(points: Array, cameras: int) -> SpaceContour:
     return SpaceContour(points, after, tangents, jnp.ones(points.shape[:2], bool))
 
 
-@program("full")
+@jax.jit
 def contour_of_rim(
     cameras: Camera, rim: Rim, points: Array, T_world_object: Array, radius: Array | float
 ) -> SpaceContour:
