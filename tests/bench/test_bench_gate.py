@@ -1,6 +1,5 @@
 """The benchmark's figures: as JSON, as a table, and against the committed ratios."""
 
-import json
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -11,10 +10,9 @@ from hypothesis import strategies as st
 from small_recording import small_recording
 
 from bench import gate
-from bench.clock import Span, interleaved, ratio, start_up, timed
 from bench.footage import Footage, at_size
 from bench.image_chain import SIDE, image_chain
-from bench.metrics import OF_OTHERS, Metric, read_json, stage_metrics, table, write_json
+from bench.metrics import OF_OTHERS, Metric, stage_metrics, table, write_json
 from jaxmocap.capture.video import open_video
 from jaxmocap.geometry.cameras import project
 
@@ -44,13 +42,6 @@ def test_what_is_better_never_fails(factor, committed):
     better = committed.value * (1 + factor if committed.direction == "higher" else 1 / (1 + factor))
     assert gate.worsening(with_value(committed, better), committed) < 0
     assert gate.failures([with_value(committed, better)], [committed]) == []
-
-
-@given(positive, positive)
-def test_twice_as_slow_is_as_bad_whichever_way_the_ratio_is_taken(value, times):
-    slower = gate.worsening(with_value(SLOWER, value * times), with_value(SLOWER, value))
-    faster = gate.worsening(with_value(FASTER, value / times), with_value(FASTER, value))
-    assert slower == pytest.approx(faster) == pytest.approx(times - 1)
 
 
 def test_a_ratio_that_was_not_measured_fails_unless_its_rival_is_missing():
@@ -102,45 +93,12 @@ def test_spread_tells_how_far_runs_scatter_and_writes_their_medians(tmp_path, ca
 # Figures -----------------------------------------------------------------------------------------
 
 
-def test_json_has_what_a_baseline_needs_of_every_metric(tmp_path):
-    actual = [SLOWER, *stage_metrics("solve", [1.0, 2.0, 3.0])]
-    write_json(actual, tmp_path / "found.json")
-    entries = json.loads((tmp_path / "found.json").read_text())["metrics"]
-    fields = {"name", "value", "unit", "direction", "tolerance"}
-    assert all(set(entry) == fields for entry in entries)
-    assert read_json(tmp_path / "found.json") == actual
-
-
 def test_the_table_puts_late_times_and_committed_values_beside_the_medians():
     actual = [*stage_metrics("solve", [1.0, 2.0, 3.0]), with_value(SLOWER, 2.1)]
     heading, solve, step = table(actual, [SLOWER]).splitlines()
     assert heading.split() == ["median", "99", "%", "unit", "baseline"]
     assert solve.split() == ["solve", "2", "2.98", "ms"]
     assert step.split() == ["step_over_chain", "2.1", "x", "2"]
-
-
-def test_rivals_are_called_in_turn_and_the_first_rounds_do_not_count():
-    called = []
-    spans = interleaved({n: lambda n=n: called.append(n) for n in "ab"}, rounds=3, warm=1)
-    assert called == list("abababab")
-    assert all(actual.shape == (3, 2) for actual in spans.values())
-
-
-def test_a_ratio_is_of_the_processors_medians():
-    one = np.array([Span(9.0, 4.0), Span(1.0, 4.0), Span(1.0, 100.0)])
-    assert ratio(one, np.array([Span(50.0, 2.0)])) == 2.0
-
-
-def test_start_up_keeps_trace_compile_and_first_call_apart():
-    import jax
-
-    actual = start_up("double", jax.jit(lambda x: 2 * x), jnp.ones(3))
-    assert [metric.name for metric in actual] == [
-        "double, trace", "double, compile", "double, first call after it"
-    ]  # fmt: skip
-    span, result = timed(jax.jit(lambda x: 2 * x), jnp.ones(3))
-    np.testing.assert_array_equal(result, 2 * np.ones(3))
-    assert span.wall > 0 and span.busy >= 0
 
 
 # What is measured --------------------------------------------------------------------------------

@@ -2,15 +2,11 @@
 
 from importlib.util import find_spec
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bench import growth, rival_ik, rival_kinematics, rival_simplex, rivals
+from bench import rival_ik, rival_kinematics, rival_simplex, rivals
 from bench.gate import failures, read_baseline
-from bench.rival_bodies import PinocchioBody
-from jaxmocap.body.kinematics import forward
-from jaxmocap.body.pose import Pose
 from jaxmocap.hybrid.settings import IKSettings
 
 STEPS = 12
@@ -32,25 +28,6 @@ def test_everybodys_joints_are_where_ours_are(monkeypatch):
     monkeypatch.setattr(rival_kinematics, "SAME_M", 1e-12)
     with pytest.raises(RuntimeError, match="m from ours"):
         list(rival_kinematics.measure(True, absent))
-
-
-@needs["pinocchio"]
-def test_pinocchio_minds_our_limits_in_our_order(skeleton):
-    body = PinocchioBody.of(skeleton)
-    limits = np.asarray(skeleton.limits, float)
-    lower, upper = body.model.lowerPositionLimit, body.model.upperPositionLimit
-    np.testing.assert_allclose(lower[body.positions], limits[:, 0])
-    np.testing.assert_allclose(upper[body.positions], limits[:, 1])
-
-
-def test_targets_move_and_can_all_be_reached(skeleton):
-    start, targets = rival_ik.motion(skeleton, STEPS)
-    assert targets.shape == (STEPS, len(rival_ik.REACHING), 3)
-    apart = np.linalg.norm(np.diff(targets, axis=0), axis=-1)
-    assert 0.002 < apart.max() < 0.1
-    rows = [skeleton.tree.bone(name) for name in rival_ik.REACHING]
-    there = np.asarray(forward(skeleton, start).joints_world)[rows]
-    assert np.linalg.norm(there - targets[0], axis=-1).max() < 0.05
 
 
 WAYS = {
@@ -94,17 +71,6 @@ def test_who_is_missing_is_said_and_left_out(monkeypatch, capsys):
 # The simplex -------------------------------------------------------------------------------------
 
 
-def test_the_cost_is_the_same_in_numpy_and_jax_and_least_at_the_truth():
-    fields, grips = rival_simplex.scene()
-    for field, grip, truth, start in zip(
-        fields, grips, rival_simplex.TRUTH, rival_simplex.START, strict=True
-    ):
-        there, away = (rival_simplex.arm_cost(np, field, grip, h) for h in (truth, start))
-        assert there < 1 < 5 < away
-        ours = rival_simplex.arm_cost(jnp, field, grip, jnp.asarray(start, jnp.float32))
-        assert float(ours) == pytest.approx(away, rel=1e-3)
-
-
 def test_our_simplex_and_scipys_find_the_same_minima():
     fields, grips = rival_simplex.scene()
     ours = rival_simplex.ours(fields, grips)()
@@ -115,18 +81,3 @@ def test_our_simplex_and_scipys_find_the_same_minima():
 
 
 # Growth ------------------------------------------------------------------------------------------
-
-
-def test_a_chain_has_so_many_hinges_in_a_row():
-    skeleton = growth.chain(10)
-    still = Pose(jnp.zeros(3), jnp.eye(4)[0], jnp.zeros(10))
-    joints = np.asarray(forward(skeleton, still).joints_world)
-    np.testing.assert_allclose(joints[:, 2], 0.1 * np.arange(10), atol=1e-6)
-
-
-def test_growth_by_hinges_measures_every_length(monkeypatch):
-    monkeypatch.setattr(growth, "HINGES", (3, 6))
-    monkeypatch.setattr(growth, "ROUNDS", 2)
-    actual = list(growth.by_hinges())
-    assert [m.name for m in actual] == [f"growth: IK step, hinges {n}" for n in (3, 6)]
-    assert all(metric.value > 0 for metric in actual)

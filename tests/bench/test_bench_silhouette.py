@@ -5,9 +5,8 @@ from time import sleep
 import numpy as np
 import pytest
 
-from bench import personal
 from bench.acceleration import AccelerationAndLag
-from bench.silhouette import Result, camera_rows, exercise_rows, metrics, real_rows, speed
+from bench.silhouette import Result, camera_rows, exercise_rows, metrics, real_rows
 from bench.stages import REST, STAGES, WHOLE_FRAME, StageClock, stages_timed
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.pipelines.silhouettes.demo import JOINTS
@@ -47,28 +46,6 @@ def test_the_real_recording_is_judged_by_eight_joints():
     assert named["balancing, 4 cameras, joints"] > 30
 
 
-def test_stages_and_the_rest_make_up_the_frame():
-    clock = StageClock()
-    decode, fit = (clock.timed(stage, sleep) for stage in ("decode", "fit"))
-
-    def frame():
-        fit(0.004)
-        fit(0.004)
-        sleep(0.004)
-
-    step = clock.step(frame)
-    for _ in range(3):
-        decode(0.004)
-        step()
-    for spent in clock.frames:
-        assert spent["fit"] >= 8 and spent["decode"] >= 4 and spent[REST] >= 4
-        parts = sum(spent[stage] for stage in ("decode", "fit", REST))
-        assert spent[WHOLE_FRAME] == pytest.approx(parts)
-    actual = {metric.name: metric.value for metric in speed("x", clock.frames)}
-    assert actual["x, rim, median"] == 0 and actual["x, fit, 99 %"] >= 8
-    assert actual["x, frames per second"] == pytest.approx(1e3 / actual["x, whole frame, median"])
-
-
 def test_a_stage_does_not_count_those_that_it_calls():
     clock = StageClock()
     fit = clock.timed("fit", sleep)
@@ -86,19 +63,3 @@ def test_every_stage_is_there_to_be_timed_and_is_itself_again_afterwards():
         assert tracker.SilhouetteTracker.step is not before[1]
     assert (cycles.fit, tracker.SilhouetteTracker.step) == before
     assert clock.frames == [] and {"rim", "segmentation", "fit"} < {*STAGES}
-
-
-def test_a_persons_own_model_is_set_against_generic_bodies():
-    off = {"stature": (0.06, 8.0), "bones": (0.04, 4.0), "model": (0.01, 2.0)}
-    rows = [
-        personal.Row(
-            name, {body: result(name, 4, k * m, k * deg) for body, (m, deg) in off.items()}
-        )
-        for name, k in (("walking", 1.0), ("turn", 2.0))
-    ]
-    lines = personal.text(rows).splitlines()
-    assert lines[-2].split()[1:] == ["12.0", "6.0", "3.0", "6.0", "3.0", "1.5", "9.0", "6.0", "1.5"]
-    assert lines[-1].split()[2:4] == ["0.25", "0.50"]
-    named = {metric.name: metric.value for metric in personal.metrics(rows)}
-    assert named["tracked by model, elbows bent"] == pytest.approx(3.0)
-    assert named["tracked by bones, joints"] == pytest.approx(6.0)
