@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-import wave
 from pathlib import Path
 
 import numpy as np
@@ -208,25 +207,17 @@ def test_a_missing_file_is_named(folder, capsys, name):
     assert "no such file" in message and str(folder / name) in message
 
 
-@pytest.mark.parametrize("content", [b"", b"this is not a video", bytes(range(256)) * 40])
-def test_what_is_not_a_video_is_refused(folder, capsys, content):
-    (folder / "cam.mp4").write_bytes(content)
-    assert f"{folder / 'cam.mp4'}: is not a video" in refused(folder, capsys)
-
-
 @pytest.mark.parametrize(
     ("damage", "says"),
     [
         (lambda content: b"", "the file is empty"),
         (lambda content: content[: len(content) // 2], "line 1"),
-        (lambda content: b"\0\1\2" * 100, "line 1: found binary data"),
-        (lambda content: content.replace(b"\tm\t", b"\tparsec\t"), "line 3: unknown unit 'parsec'"),
         (
             lambda content: content.replace(b"0.100000000", b"0.000000001"),
             "line 13: time runs backwards",
         ),
     ],
-    ids=["empty", "truncated", "binary", "unit", "backwards"],
+    ids=["empty", "truncated", "backwards"],
 )
 def test_a_damaged_marker_file_is_named_with_its_line(folder, capsys, damage, says):
     path = folder / "markers.trc"
@@ -247,15 +238,11 @@ def test_nan_everywhere_is_refused(folder, capsys):
     ("file", "old", "new", "says"),
     [
         ("recording.toml", "Head =", "Nose =", "[markers.on] Nose: no such marker"),
-        ("recording.toml", "Head =", "Nose =", "found Head, LWrist, RWrist, LAnkle, RAnkle"),
         ("recording.toml", '"tibia_l"', '"shank"', "[markers.on] LAnkle: unknown bone 'shank'"),
-        ("recording.toml", '"tibia_l"', '"shank"', "expected one of spine1, spine2"),
         ("calibration.toml", "[cam]", "[other]", "section [cam] is missing, found other"),
-        ("calibration.toml", "matrix = [[", "matrix = [[0, 0, 1], [", "[cam] matrix: found [["),
         ("calibration.toml", "rotation = [", "rotation = [7.0, ", "[cam] rotation: found ["),
         ("calibration.toml", "size = [96.0", "size = [99.0", "the video is 96 × 72"),
         ("recording.toml", "offset = 0.004", "offset = 100.0", "no overlap: the video lasts from"),
-        ("recording.toml", "height = 1.75", "height = 'tall'", "[subject] height: found 'tall'"),
     ],
 )
 def test_a_field_that_does_not_fit_is_named_with_its_file(folder, capsys, file, old, new, says):
@@ -265,44 +252,10 @@ def test_a_field_that_does_not_fit_is_named_with_its_file(folder, capsys, file, 
     assert says in message and str(folder / ("cam.mp4" if video else file)) in message
 
 
-def test_a_rotation_that_is_none_is_refused(folder, capsys):
-    text = (folder / "calibration.toml").read_text().splitlines()
-    stretched = "rotation = [[2.0, 0, 0], [0, 1, 0], [0, 0, 1]]"
-    lines = [stretched if line.startswith("rotation") else line for line in text]
-    (folder / "calibration.toml").write_text("\n".join(lines))
-    assert "rotation: found a 3 × 3 matrix that is not a rotation" in refused(folder, capsys)
-
-
-def test_a_camera_that_the_recording_does_not_have_is_refused(folder, capsys):
-    assert "no [[video]] of camera 'side', found cam" in refused(
-        folder, capsys, "--cameras", "cam,side"
-    )
-
-
-def test_nobodys_height_is_refused(folder, capsys):
-    assert "height" in refused(folder, capsys, "--height", "40")
-
-
 def test_an_output_that_is_a_file_is_refused_before_tracking(folder, capsys):
     arguments = ["track", str(folder / "recording.toml"), "--out", str(folder / "cam.mp4" / "x")]
     assert main(arguments) == 2
     assert "cam.mp4 is a file" in capsys.readouterr().err
-
-
-def test_a_video_a_little_narrower_than_its_calibration_is_a_warning(folder):
-    from jaxmocap.capture.footage import open_footage
-    from jaxmocap.formats.recordings.recording import load_recording
-
-    edit(folder / "calibration.toml", "size = [96.0", "size = [97.0")
-    _, warnings = open_footage(load_recording(folder / "recording.toml"))
-    assert len(warnings) == 1 and "taken as cropped on the right" in warnings[0]
-
-
-def test_sound_without_pictures_is_refused(folder, capsys):
-    with wave.open(str(folder / "cam.mp4"), "wb") as sound:
-        sound.setparams((1, 2, 8000, 0, "NONE", ""))
-        sound.writeframes(bytes(16000))
-    assert "is not a video, it has no video stream" in refused(folder, capsys)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Programs kept on disk: what a start traced, a later one only reads."""
 
-import pickle
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -101,67 +100,6 @@ def test_other_code_of_the_package_is_traced_by_itself(
     assert len(traced) == 2
 
 
-@pytest.mark.parametrize("share", [0.0, 0.005, 0.01, 0.5, 0.99])
-def test_a_file_with_a_flipped_byte_is_made_again(folder: Path, share: float) -> None:
-    traced: list[int] = []
-    counted(traced)(ANGLE, POINT)
-    (file,) = folder.iterdir()
-    intact = file.read_bytes()
-    broken = bytearray(intact)
-    broken[int(share * len(intact))] ^= 1
-    file.write_bytes(broken)
-    assert float(counted(traced)(ANGLE, POINT).parts["length"]) == pytest.approx(5.0, rel=1e-5)
-    assert len(traced) == 2
-    counted(traced)(ANGLE, POINT)
-    assert len(traced) == 2 and list(folder.iterdir()) == [file]
-
-
-@pytest.mark.parametrize("size", [0, 10, 40, 100, -1])
-def test_a_file_that_was_cut_off_is_made_again(folder: Path, size: int) -> None:
-    traced: list[int] = []
-    counted(traced)(ANGLE, POINT)
-    (file,) = folder.iterdir()
-    file.write_bytes(file.read_bytes()[:size])
-    counted(traced)(ANGLE, POINT)
-    counted(traced)(ANGLE, POINT)
-    assert len(traced) == 2
-
-
-def test_files_that_were_exchanged_are_made_again(folder: Path) -> None:
-    """Both take an angle and a point, and return the same structure."""
-    traced: list[int] = []
-    kept = counted(traced), Program(lambda angle, point: counted([]).jitted(-angle, point), "back")
-    right = [np.asarray(each(ANGLE, POINT).point) for each in kept]
-    first, second = folder.iterdir()
-    contents = first.read_bytes(), second.read_bytes()
-    first.write_bytes(contents[1])
-    second.write_bytes(contents[0])
-    later = counted(traced), Program(lambda angle, point: counted([]).jitted(-angle, point), "back")
-    for each, expected in zip(later, right, strict=True):
-        np.testing.assert_allclose(each(ANGLE, POINT).point, expected, rtol=1e-6)
-    assert len(traced) == 2
-    assert sorted(path.stat().st_size for path in (first, second)) == sorted(map(len, contents))
-
-
-class Planted:
-    """A pickle of it writes a file when it is read."""
-
-    def __init__(self, path: Path):
-        self.path = path
-
-    def __reduce__(self) -> tuple:
-        return Path.touch, (self.path,)
-
-
-def test_a_pickle_that_was_planted_is_never_run(folder: Path, tmp_path: Path) -> None:
-    traced: list[int] = []
-    counted(traced)(ANGLE, POINT)
-    (file,) = folder.iterdir()
-    file.write_bytes(pickle.dumps(Planted(tmp_path / "it ran")))
-    assert float(counted(traced)(ANGLE, POINT).parts["length"]) == pytest.approx(5.0, rel=1e-5)
-    assert len(traced) == 2 and not (tmp_path / "it ran").exists()
-
-
 def test_a_result_that_json_cannot_describe_is_traced_by_each_start(folder: Path) -> None:
     class Local(NamedTuple):
         doubled: Array
@@ -193,15 +131,6 @@ def test_containers_come_back_as_they_were() -> None:
 def test_what_describes_no_structure_is_refused(text: str) -> None:
     with pytest.raises(ValueError):
         from_json(text)
-
-
-def test_a_folder_that_cannot_be_made_is_no_hindrance(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("in the way")
-    keep_in(PrivateCache(tmp_path / "file", "programs"))
-    try:
-        assert np.isfinite(counted([])(ANGLE, POINT).point).all()
-    finally:
-        keep_compiled()
 
 
 def test_within_what_is_traced_it_is_the_function(folder: Path) -> None:

@@ -204,13 +204,3 @@ def test_bad_yaml_is_refused_with_the_field(tmp_path, old, new, says):
     path = written(tmp_path, ROS.replace(old, new))
     message = complaint(read_intrinsics, path, "narrow")
     assert message.startswith(str(path)) and says in message
-
-
-@given(st.integers(0, len(ROS) - 1), st.text(max_size=3))
-def test_a_damaged_yaml_is_read_or_refused(tmp_path_factory, place, other):
-    path = tmp_path_factory.mktemp("damaged") / "c.yml"
-    path.write_text(ROS[:place] + other + ROS[place + 1 :], encoding="utf-8")
-    try:
-        read_intrinsics(path, "narrow")
-    except InputError as error:
-        assert str(error).startswith(str(path))

@@ -1,7 +1,6 @@
 """Lenses: a fisheye against OpenCV and the NumPy reference, and what both kinds promise."""
 
 from functools import partial
-from types import SimpleNamespace
 
 import cv2
 import jax
@@ -12,7 +11,6 @@ from conftest import double, on_device
 
 from jaxmocap.geometry import cameras
 from jaxmocap.geometry.lenses import BROWN_CONRADY, FISHEYE, LENSES
-from jaxmocap.reference import cameras as reference
 
 MATRIX = np.array([[420.0, 0, 655], [0, 418, 470], [0, 0, 1]])
 ROTATION, TRANSLATION = np.array([1.3, -0.4, 0.6]), np.array([0.1, -0.2, 1.5])
@@ -55,25 +53,6 @@ def test_a_fisheyes_distortion_is_undone_as_by_opencv():
         ours = jnp.stack(cameras.plane_components(camera(), *on_device(pixels.T)), -1)
     # OpenCV stops its own iteration at 1e-8.
     np.testing.assert_allclose(ours, expected, rtol=1e-6, atol=1e-7)
-
-
-def test_the_reference_projects_a_fisheyes_points_alike():
-    points = wide(12)
-    with double():
-        ours = camera()
-        theirs = SimpleNamespace(**{key: np.asarray(part) for key, part in vars(ours).items()})
-        pixels = np.asarray(PROJECT(ours, on_device(points)))
-    exact = {"rtol": 1e-9, "atol": 1e-9}
-    np.testing.assert_allclose(pixels, reference.project(theirs, points), **exact)
-
-
-def test_the_reference_finds_a_fisheyes_rays_alike_near_the_axis():
-    pixels = MATRIX[:2, 2] + np.random.default_rng(2).uniform(-120, 120, (10, 2))
-    with double():
-        ours = camera()
-        theirs = SimpleNamespace(**{key: np.asarray(part) for key, part in vars(ours).items()})
-        rays = RAYS(ours, on_device(pixels))
-    np.testing.assert_allclose(rays, reference.pixel_rays(theirs, pixels, 60), rtol=0, atol=1e-9)
 
 
 def test_the_ray_through_a_pixel_meets_the_point():

@@ -26,7 +26,6 @@ def look_up(fields, channels, points_xy):
 
 LOOK = jax.jit(look_up)
 SLOPE = jax.jit(jax.jacfwd(look_up, argnums=2))
-SHARP = EdgeSettings(blur=0.0)
 
 
 def bar(angle_degrees: float, size: int = SIZE) -> np.ndarray:

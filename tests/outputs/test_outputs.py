@@ -492,9 +492,6 @@ sys.path[:0] = {tests!r}
 import test_outputs
 from jaxmocap.formats.files.errors import OutputError
 from jaxmocap.outputs.viewer import write_rerun
-from jaxmocap.outputs.ellipses import SIGMAS, ellipses_in, landmark_ellipses, uncertainty_of
-from jaxmocap.outputs.floor import floor_of
-from jaxmocap.outputs.layout import lay_out
 from jaxmocap.outputs.overlay import write_overlay
 motion, camera = test_outputs.make_motion(), test_outputs.make_camera()
 rng = test_outputs.np.random.default_rng(0)

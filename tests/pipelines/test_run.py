@@ -392,18 +392,7 @@ def test_a_low_pass_acts_on_the_samples_of_an_unsmoothed_run():
 def written(tracked, tmp_path_factory):
     """The folder that the small recording's outputs are written to."""
     folder = tmp_path_factory.mktemp("written")
-    files = write_outputs(tracked.motion, small_recording(), folder, compiled().settings)
-    assert [path.name for path in files] == [
-        "joints.trc",
-        "angles.mot",
-        "angles_isb.mot",
-        "motion.npz",
-        "motion.bvh",
-        "motion.glb",
-        "report.json",
-        "overlay_cam.mp4",
-        "recording.rrd",
-    ]
+    write_outputs(tracked.motion, small_recording(), folder, compiled().settings)
     return folder
 
 
@@ -452,15 +441,6 @@ def test_the_report_counts_warnings(written, spoilt, tmp_path):
     assert report["statuses"]["marker LWrist is missing"]["count"] == 5
     assert report["statuses"]["no marker has been measured yet"]["count"] == 3
     assert np.isnan(read_markers(tmp_path / "joints.trc").points()["head"][:3]).all()
-
-
-def test_the_overlay_has_every_frame(written):
-    import av
-
-    with av.open(str(written / "overlay_cam.mp4")) as video:
-        stream = video.streams.video[0]
-        assert sum(1 for _ in video.decode(stream)) == FRAMES
-        assert (stream.width, stream.height) == (96, 72)
 
 
 def test_the_overlay_is_drawn_by_the_camera_as_it_was_found(written, tracked, tmp_path):

@@ -35,11 +35,6 @@ BONES = [
     *FINGERS,
     "UpperChest",
 ]
-# What VRChat's trackers 1 to 8 are to SlimeVR.
-SLIMEVR_TRACKERS = (
-    *("hip", "left foot", "right foot", "left knee", "right knee", "upper chest"),
-    *("left elbow", "right elbow"),
-)
 _AT_REST = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 

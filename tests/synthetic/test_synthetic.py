@@ -13,7 +13,6 @@ from gait_person import MARKERS as GAIT_MARKERS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.stretching import UPRIGHT, stretching
 from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.mass import centre_of_gravity
 from jaxmocap.body.skeleton import WINTER, Skeleton
@@ -153,27 +152,6 @@ def test_the_squat_goes_down_by_thirty_centimetres_and_stays_over_the_feet():
         x = float(centre_of_gravity(skeleton, frames)[0])
         # Heels reach some 5 cm behind the ankles.
         assert points["ankle_r"][i, 0] - 0.05 < x < points["toe_l"][i, 0]
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_stretching_bends_the_elbows_all_the_way_by_somebody_of_unusual_arms(seed):
-    performance, usual = stretching(SECONDS, seed), Skeleton.human(1.75, proportions=WINTER)
-    points = performance.landmarks(TIMES)
-    upper = points["elbow_l"] - points["shoulder_l"]
-    fore = points["wrist_l"] - points["elbow_l"]
-    lengths = [np.linalg.norm(part, axis=-1) for part in (upper, fore)]
-    bend = np.degrees(np.arccos(np.sum(upper * fore, -1) / np.prod(lengths, 0)))
-    assert bend.min() < 35 and bend.max() > 110
-    rises = points["wrist_l"][:, 2] - points["shoulder_l"][:, 2]
-    assert rises.min() < -0.4 and rises.max() > -0.15
-    person, bones = performance.figure.skeleton, usual.tree.bones
-    ratio = np.asarray(person.lengths) / np.asarray(usual.lengths)
-    assert abs(ratio[bones.index("humerus_l")] - 1) > 1e-4
-    np.testing.assert_array_equal(ratio[bones.index("radius_l")], ratio[bones.index("radius_r")])
-    for body in (person, usual):
-        upright = [bone.startswith(UPRIGHT) for bone in bones]
-        tall = float(np.asarray(body.lengths)[upright].sum())
-        assert tall == pytest.approx(float(np.asarray(usual.lengths)[upright].sum()), rel=1e-5)
 
 
 def test_an_unknown_stroke_is_refused_with_the_valid_ones():
