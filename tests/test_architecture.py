@@ -72,6 +72,7 @@ DOORS = {
     "mediapipe": ("pipelines/keypoints/mediapipe_process.py",),
     "distributed": ("pipelines/batch/cluster.py",),
     "shtab": ("cli/completion.py",),
+    "PIL": ("capture/photographs.py",),
     "av": (
         "capture/",
         "formats/cameras/video_out.py",

@@ -3,28 +3,29 @@
 INPUTS: an image file, the camera that took it. OUTPUTS: (H, W, 3) BGR uint8, of the camera's size.
 """
 
+import io
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.picture_size import (
-    PICTURE_FORMATS,
-    SIGNATURE_BYTES,
-    is_picture,
-    picture_size,
-)
 from jaxmocap.formats.files.reading import open_regular, read_bytes
 from jaxmocap.formats.files.writing import write_bytes
 from jaxmocap.geometry.cameras import Camera
 
 # More than 8K video has; the search for a board takes some thirty bytes for each.
 MAX_PIXELS = 50_000_000
+# What is read, as Pillow names it.
+PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "GIF", "PPM")
+# Bytes by which a file is recognised as a picture.
+SIGNATURE_BYTES = 32
 _STANDARD_ERROR = 2
 
 
@@ -55,7 +56,24 @@ def read_picture(path: str | Path) -> np.ndarray:
 def is_picture_file(path: str | Path) -> bool:
     """Whether a file says by its first bytes that it is a picture."""
     with open_regular(path, sys.maxsize) as file:
-        return is_picture(file.read(SIGNATURE_BYTES))
+        return _reader(file.read(SIGNATURE_BYTES)) is not None
+
+
+def picture_size(content: bytes) -> tuple[int, int] | None:
+    """Width and height as the header states them; None of what is no picture."""
+    read = _reader(content[:SIGNATURE_BYTES])
+    # A damaged header breaks any of the steps, or is warned of.
+    with warnings.catch_warnings(), suppress(Exception):
+        warnings.simplefilter("ignore")
+        return None if read is None else read(io.BytesIO(content), "").size
+    return None
+
+
+def _reader(start: bytes) -> Callable[[io.BytesIO, str], Image.Image] | None:
+    """What reads the header of a file that begins so; it decodes nothing yet."""
+    Image.init()
+    readers = [Image.OPEN[name] for name in PICTURE_FORMATS if name in Image.OPEN]
+    return next((read for read, accept in readers if accept and accept(start) is True), None)
 
 
 def picture_of(path: str | Path, content: bytes) -> np.ndarray:
@@ -69,7 +87,9 @@ def picture_of(path: str | Path, content: bytes) -> np.ndarray:
         raise InputError(path, "is not an image that can be read, it is empty")
     size = picture_size(content)
     if size is None:
-        raise InputError(path, f"is not an image that can be read, expected {PICTURE_FORMATS}")
+        raise InputError(
+            path, f"is not an image that can be read, expected {', '.join(PICTURE_FORMATS)}"
+        )
     width, height = size
     # Before it is decoded: some kilobytes of file may state any size.
     if not 0 < width * height <= MAX_PIXELS:

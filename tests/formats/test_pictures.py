@@ -15,12 +15,12 @@ from conftest import problem_of
 
 from jaxmocap.capture.photographs import (
     is_picture_file,
+    picture_size,
     read_empty_room,
     read_picture,
     write_picture,
 )
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.picture_size import picture_size
 
 complaint = partial(problem_of, read_picture)
 
