@@ -1,6 +1,5 @@
 """Kinds of evidence, one against another: made key points, flat backgrounds, a quick run."""
 
-import json
 from dataclasses import replace
 
 import cv2
@@ -97,12 +96,3 @@ def test_a_flattened_recording_has_its_frames_at_the_same_times():
         assert now.shape == was.shape and steepest(now, np.s_[:, :24]) < steepest(
             was, np.s_[:, :24]
         )
-
-
-def test_a_quick_run_measures_key_points(tmp_path, capsys):
-    evidence.main(["--quick", "--seeds", "0", "--json", str(tmp_path / "found.json")])
-    assert "silhouettes, colours, key points" in capsys.readouterr().out
-    metrics = json.loads((tmp_path / "found.json").read_text())["metrics"]
-    actual = {metric["name"].split(", ", 1)[1]: metric["value"] for metric in metrics}
-    assert list(actual) == ["markers alone", evidence.USUAL, *evidence.QUICK]
-    assert 0 < actual[evidence.QUICK[0]] < actual["markers alone"]

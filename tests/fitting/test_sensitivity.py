@@ -185,7 +185,7 @@ def test_without_silhouettes_the_markers_alone_move_the_body():
     assert not actual["camera turned"].any() and not actual["focal length"].any()
 
 
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(st.integers(0, 2**31))
 def test_backwards_is_the_transpose_of_forwards(seed):
     """By the whole model, whatever the direction and whatever the loss."""
