@@ -107,12 +107,13 @@ def causal(
         frame, total = int(line.frame_index[event, 0]), Stopwatch()
         images = [None if frame < 0 else image_at(frame)]
         step = Stopwatch()
-        clock.spans = {}
+        clock.spans, report = {}, None
         if smoother is None:
-            state, pose, report = tracker.step(state, time, markers[event], images, clock)
-        else:
-            state, pose, report = tracker.solve(state, markers[event], clock)
-        pose, report = jax.tree.map(np.asarray, (pose, report))
+            state, *found = tracker.step(state, time, markers[event], images, clock)
+            jax.tree.map(np.asarray, found)
+        elif not smoother.lies_between(time, images):
+            state, *found = tracker.solve(state, markers[event], clock)
+            _, report = jax.tree.map(np.asarray, found)
         clock.spans["step"] = step.read()
         if smoother is not None:
             # Between the samples markers are extrapolated, which the smoother does better.
