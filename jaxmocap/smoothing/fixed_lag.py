@@ -63,7 +63,7 @@ KEPT_FRAMES = 3
 # for so many seconds at most.
 KEPT_S = 0.2
 # A marker sample is an event of the window so many seconds after the last one; others lie between.
-# A pose accelerates by 30 m/s^2 at most: 1 mm. Headsets bring three samples to a video frame.
+# Of a headset's three samples to a video frame two do: two thirds of the time for the same elbows.
 EVENT_S = 0.015
 # Events that wait for the next video frame before the window is solved without one,
 MOST_WAITING = 10
