@@ -10,14 +10,16 @@ import pytest
 
 from jaxmocap.body.kinematics import forward, landmarks, site_positions
 from jaxmocap.body.model import marker_sites
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.fitting.marker_poses import FIT_POSES, TAILS
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.outputs.report import misfit
 from jaxmocap.pipelines.summary import summary
-from jaxmocap.pipelines.tracking.track import track
+from jaxmocap.pipelines.tracking.marked import cheapest
+from jaxmocap.pipelines.tracking.track import make_tracker, track
 
 SET = '[markers]\nfile = "markers.trc"\nset = "plug-in-gait"\n'
 SUBJECT = "[subject]\nheight = 1.7\n"
@@ -133,3 +135,20 @@ def test_joints_of_real_people_lie_within_what_is_stated(recordings, tmp_path):
                 # 90 % of a normal error in three dimensions are within 2.5 deviations of one.
                 inside.append(np.mean(off < 2.5 * np.sqrt((std**2).mean(-1))))
     assert np.mean(inside) > 0.8
+
+
+def test_an_elbow_that_turned_through_its_back_is_found_the_right_way_round(twisted, tracked):
+    """By the samples beside it, and by its own pose with all joints in their ranges."""
+    recording = load_recording(twisted[0] / "recording.toml")
+    model = make_tracker(recording).model
+    markers = recording.positions_world[:4].astype(np.float32)
+    start = jax.tree.map(lambda part: np.asarray(part[:4], np.float32), tracked.poses)
+    right = FIT_POSES(model, start, markers, np.float32(TAILS))
+    angles, elbow = np.array(right.poses.angles), model.skeleton.tree.joint("elbow_flex_l")
+    angles[1:3, elbow] += 1.5 * np.pi
+    wrong = FIT_POSES(model, right.poses._replace(angles=angles), markers, np.float32(TAILS))
+    assert (np.asarray(wrong.cost) > np.asarray(right.cost) + 5)[1:3].all()
+    found = cheapest(model, wrong, markers)
+    np.testing.assert_allclose(found.cost, right.cost, rtol=0.01)
+    beyond = beyond_limits(model.skeleton.limits, found.poses.angles)
+    assert beyond.max() < np.radians(20)

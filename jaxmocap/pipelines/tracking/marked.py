@@ -36,6 +36,8 @@ from jaxmocap.smoothing.problem import FirstPass, Trajectory
 
 # Samples that lengths and places are fitted to; from each of them the poses are followed on.
 SAMPLES = 64
+# Other starts are tried for them so often at most, while one brings more than so much, nats.
+ROUNDS, GAIN = 4, 1.0
 # A sample has this share of the markers at least that the fullest one has.
 FULL_SHARE = 0.9
 
@@ -90,7 +92,7 @@ def followed(
         full = np.flatnonzero(present >= FULL_SHARE * present.max())
         chosen = full[np.linspace(0, len(full) - 1, SAMPLES).astype(int)]
     model, sentence = tracker.model, ""
-    fit = _far(tracker, markers[chosen])
+    fit = cheapest(model, _far(tracker, markers[chosen]), markers[chosen])
     # Whoever states that lengths and places are not to be fitted knows them.
     covariance = usual_covariance(model) * float(events.recording.fit)
     if events.recording.fit and not causal:
@@ -124,6 +126,49 @@ def _far(tracker: HybridTracker, markers: np.ndarray) -> PosesFit:
     start = jax.tree.map(lambda *each: np.stack(each), *placed)
     near = FIT_POSES(model, start, markers, _tails(model, FAR_TAILS))
     return FIT_POSES(model, near.poses, markers, _tails(model, TAILS))
+
+
+def cheapest(model: Model, fit: PosesFit, markers: np.ndarray) -> PosesFit:
+    """The same, or from other starts where that costs less (K, ...).
+
+    An elbow that has turned through its back meets the markers as well, and no descent leaves it.
+    Starts are the poses before and after, and the pose itself with its joints in their ranges.
+    """
+    fit = jax.tree.map(np.asarray, fit)
+    for _ in range(ROUNDS):
+        before = fit.cost
+        for start in (_in_ranges(model, fit.poses), *_neighbours(fit.poses)):
+            tried = jax.tree.map(np.asarray, FIT_POSES(model, start, markers, _tails(model, TAILS)))
+            lower = tried.cost < fit.cost
+            fit = jax.tree.map(
+                lambda new, old, lower=lower: np.where(
+                    lower.reshape(-1, *[1] * (old.ndim - 1)), new, old
+                ),
+                tried,
+                fit,
+            )
+        if not (before - fit.cost > GAIN).any():
+            break
+    return fit
+
+
+def _in_ranges(model: Model, poses: Pose) -> Pose:
+    """Poses whose joints' angles are moved into their ranges, by whole turns where they can be."""
+    low, high = np.asarray(model.skeleton.limits).T
+    angles = np.asarray(poses.angles)
+    turn = np.asarray(2 * np.pi, angles.dtype)
+    near = angles - turn * np.round((angles - (low + high) / 2) / turn)
+    return poses._replace(angles=np.clip(near, low, high))
+
+
+def _neighbours(poses: Pose) -> tuple[Pose, Pose]:
+    """Poses (K, ...) each moved on by one, and back by one; the last stays."""
+    rows = np.arange(len(poses.angles))
+    earlier, later = np.maximum(rows - 1, 0), np.minimum(rows + 1, rows[-1])
+    before, after = (
+        jax.tree.map(lambda part, r=r: np.asarray(part)[r], poses) for r in (earlier, later)
+    )
+    return before, after
 
 
 def _tails(model: Model, tails: float) -> np.ndarray:
