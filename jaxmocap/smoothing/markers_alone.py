@@ -24,7 +24,7 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import with_deviations
 from jaxmocap.smoothing.walking import usual_habits, walkers_measurements
 
-# Samples that are solved for at once: some 150 kB each.
+# Samples that are solved for at once: some 80 kB each.
 STRETCH = 3000
 # Views that a sample of markers is worth to the prior on proportions, by six walking people
 # (``bench.people``): of markers alone, and with landmarks where walkers have them. Those err alike
