@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.clips import MOTIONS, Clip, real, synthetic
+from bench.clips import Clip, real, synthetic
 from bench.command_line import command, numbers, seeds
 from bench.criteria import covered, criteria, pool, table
 from bench.evaluation import Result, evaluate_clip
@@ -29,6 +29,7 @@ from jaxmocap.evaluation.errors import Errors
 from jaxmocap.formats.settings_file import read_settings
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.synthetic.movements.motions import MOTIONS
 
 SPREAD = ["mean", "median", "95 %", ">0.3 Hz"]
 ERROR_HEADINGS = [

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import rankdata
 
-from bench.clips import ELBOWS, MOTIONS
+from bench.clips import ELBOWS, performed
 from bench.command_line import command
 from bench.metrics import Metric, table, write_json
 from jaxmocap.body.skeleton import ELBOWS as ELBOW_ROWS
@@ -92,7 +92,7 @@ def filmed(folder: Path, movement: str, seed: int, place: Place) -> Path:
     path = folder / f"{movement}_{seed}_{place.azimuth:+.0f}_{place.distance:.2f}"
     if (path / "recording.toml").is_file():
         return path
-    performance = MOTIONS[movement](SECONDS, seed, place.azimuth)
+    performance = performed(movement, SECONDS, seed, place.azimuth)
     parts = recording_parts(performance, SECONDS, place.camera(place.azimuth))
     # The room is furnished behind the person, as the camera at azimuth 0 sees it.
     mover = RotatedMover(clothed_actor(performance, seed, 1), place.azimuth)
@@ -103,7 +103,7 @@ def filmed(folder: Path, movement: str, seed: int, place: Place) -> Path:
 
 def outcomes(folder: Path, movement: str, seed: int, where: list[Place]) -> Iterator[Outcome]:
     """Of each place."""
-    subject = drawn_subject(MOTIONS[movement](SECONDS, seed, 0.0), HEIGHT_M, SECONDS)
+    subject = drawn_subject(performed(movement, SECONDS, seed, 0.0), HEIGHT_M, SECONDS)
     moments, skeleton = movement_of(subject), subject.model.skeleton
     settings = settings_for(subject.model, Settings().smoothing, moments)
     information = of_markers(subject.model, settings, moments)

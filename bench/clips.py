@@ -5,7 +5,7 @@ exercises and a folder to keep what is rendered in.
 OUTPUTS: Clips.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -13,22 +13,12 @@ from pathlib import Path
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.synthetic.four_cameras import write_four_cameras
-from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.exercises import exercise
-from jaxmocap.synthetic.movements.motions import Performance
+from jaxmocap.synthetic.movements.motions import MOTIONS, Performance
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 from jaxmocap.synthetic.recording import write_performance
 
-# Motion -> seconds, seed and the camera's azimuth to a performance.
-MOTIONS: dict[str, Callable[[float, int, float], Performance]] = {
-    "tennis": lambda seconds, seed, azimuth: motions.table_tennis(seconds, seed),
-    "thrust": lambda seconds, seed, azimuth: motions.thrust(seconds, seed, azimuth=azimuth),
-    "reaching": lambda seconds, seed, azimuth: motions.reaching(seconds, seed),
-    "across": lambda seconds, seed, azimuth: motions.across(seconds, seed),
-    "raises": lambda seconds, seed, azimuth: motions.raises(seconds, seed),
-    "squat": lambda seconds, seed, azimuth: motions.squat(seconds, seed),
-}
 ELBOWS = ("elbow_l", "elbow_r")
 # Landmark -> its marker in the reference.
 REAL_LANDMARKS = {"neck": "Neck", "vertex": "Head"} | {
@@ -79,6 +69,11 @@ def real(folder: Path) -> list[Clip]:
     ]
 
 
+def performed(motion: str, seconds: float, seed: int, azimuth: float) -> Performance:
+    """A motion; a thrust goes at a camera at that azimuth, degrees from frontal."""
+    return MOTIONS[motion](seconds, seed, **({"azimuth": azimuth} if motion == "thrust" else {}))
+
+
 def synthetic(
     motion: str, seeds: Iterable[int], azimuths: Sequence[float], seconds: float, keep: Path
 ) -> list[Clip]:
@@ -98,7 +93,7 @@ def synthetic(
         path = keep / name / "recording.toml"
         # Written last: where it is, all is.
         if not path.is_file():
-            performance = MOTIONS[motion](seconds, seed, azimuth)
+            performance = performed(motion, seconds, seed, azimuth)
             write_performance(path.parent, performance, seconds, seed, azimuth=azimuth)
         clips.append(Clip(motion, name, path, {mark: mark for mark in LANDMARKS}, seed, azimuth))
     return clips

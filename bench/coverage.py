@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.clips import MOTIONS, REAL_LANDMARKS, Clip, exercises, real, synthetic
+from bench.clips import REAL_LANDMARKS, Clip, exercises, real, synthetic
 from bench.command_line import add_rendered, command
 from bench.evaluation import Sureness, sureness_of
 from bench.metrics import Metric, aligned, write_json
@@ -35,6 +35,7 @@ from jaxmocap.pipelines.silhouettes.track import track_silhouettes
 from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
+from jaxmocap.synthetic.movements.motions import MOTIONS
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import rest_height
 

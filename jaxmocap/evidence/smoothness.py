@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxmocap.compilation.arrays import Numbers, namespace
+
 # An acceleration reaches two frames on.
 REACH = 2
 # Frames at a time.
@@ -94,12 +96,20 @@ def smoothness(times: np.ndarray, accelerations: np.ndarray) -> Smoothness:
             is no prior. The mean acceleration over h seconds deviates by sigma / sqrt(h).
     """
     times = np.asarray(times, float)
-    steps = np.diff(times)
-    if not (steps > 0).all():
+    if not (np.diff(times) > 0).all():
         raise ValueError("the times of a trajectory must increase")
+    return Smoothness(len(times), second_differences(times), 1 / np.asarray(accelerations, float))
+
+
+def second_differences(times: Numbers) -> Numbers:
+    """(T - 2, 3) of three successive points at times (T,), seconds, increasing.
+
+    They make of the points their mean acceleration over h seconds, times sqrt(h).
+    """
+    xp = namespace(times)
+    steps = xp.diff(times)
     h1, h2 = steps[:-1], steps[1:]
-    second = np.stack([1 / h1, -1 / h1 - 1 / h2, 1 / h2], 1) * np.sqrt(2 / (h1 + h2))[:, None]
-    return Smoothness(len(times), second, 1 / np.asarray(accelerations, float))
+    return xp.stack([1 / h1, -1 / h1 - 1 / h2, 1 / h2], 1) * xp.sqrt(2 / (h1 + h2))[:, None]
 
 
 def accelerations_of(times: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -84,8 +84,15 @@ def fit_lengths(
     Raises:
         NotPositiveDefinite: where nothing determines the poses.
     """
-    weighed = _weighed(problem, worth)
-    solved = smooth_poses(weighed, _freed(start), softness)
+    lasting = lasting_errors(problem)
+    silhouettes = replace(lasting.silhouettes, forearms=0.0)
+    settings = replace(lasting, silhouettes=silhouettes, proportions=1 / worth)
+    weighed = replace(problem, settings=settings)
+    # All lengths and girths are free.
+    given = np.asarray(start.proportions)
+    missing = len(LENGTHS) + len(GIRTHS) - given.size
+    freed = start._replace(proportions=np.pad(given, (0, missing)))
+    solved = smooth_poses(weighed, freed, softness)
     trajectory, count = solved.trajectory, len(LENGTHS) + len(GIRTHS)
     prior, soft = weighed.motion_prior(), softened(weighed, softness[-1])
     with two_workers() as workers:
@@ -96,18 +103,3 @@ def fit_lengths(
     logarithms = np.asarray(trajectory.proportions, float)
     people = covariance_among_people(count)
     return LengthsFit(logarithms, shared, people, trajectory, solved.status)
-
-
-def _weighed(problem: SmoothingProblem, worth: float) -> SmoothingProblem:
-    """The same for the report."""
-    lasting = lasting_errors(problem)
-    silhouettes = replace(lasting.silhouettes, forearms=0.0)
-    settings = replace(lasting, silhouettes=silhouettes, proportions=1 / worth)
-    return replace(problem, settings=settings)
-
-
-def _freed(trajectory: Trajectory) -> Trajectory:
-    """The same with all lengths and girths free."""
-    given = np.asarray(trajectory.proportions)
-    missing = len(LENGTHS) + len(GIRTHS) - given.size
-    return trajectory._replace(proportions=np.pad(given, (0, missing)))

@@ -10,6 +10,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.orientations import quaternions
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.surfaces.parts import determined_landmarks
@@ -71,26 +72,12 @@ def _placed(skeleton: Skeleton, points: np.ndarray) -> Pose:
     dtype = skeleton.lengths.dtype
     pose = relaxed_pose(skeleton)
     return pose._replace(
-        position=jnp.asarray(place, dtype), quaternion=jnp.asarray(_quaternion(R), dtype)
+        position=jnp.asarray(place, dtype), quaternion=jnp.asarray(quaternions(R), dtype)
     )
 
 
 def _middle(at: dict[str, np.ndarray], pair: str) -> np.ndarray:
     return (at[f"{pair}_l"] + at[f"{pair}_r"]) / 2
-
-
-def _quaternion(R: np.ndarray) -> np.ndarray:
-    """Unit, wxyz, of a turn (3, 3): the eigenvector of the largest eigenvalue (Bar-Itzhack)."""
-    (a, b, c), (d, e, f), (g, h, i) = R
-    K = np.array(
-        [
-            [a + e + i, h - f, c - g, d - b],
-            [h - f, a - e - i, b + d, c + g],
-            [c - g, b + d, e - a - i, f + h],
-            [d - b, c + g, f + h, i - a - e],
-        ]
-    )
-    return np.linalg.eigh(K)[1][:, -1]
 
 
 @program("full")

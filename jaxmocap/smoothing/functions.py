@@ -31,6 +31,7 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.compilation.arguments import check_kind, floating
 from jaxmocap.evidence.expansion import expanded
 from jaxmocap.evidence.shapes import checked_measurements, checked_pose
+from jaxmocap.evidence.smoothness import second_differences
 from jaxmocap.evidence.terms import Measurements, residuals
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.smoothing.settings import SmoothingSettings
@@ -142,7 +143,9 @@ def smooth_events(model: Model, settings: SmoothingSettings, events: Events) -> 
 def _moved(problem: _Problem, poses: Pose) -> Pose:
     """Where poses at their minimum go as the problem changes."""
     slopes = _slopes(jax.lax.stop_gradient(problem), poses)
-    gradient = _gradient(problem, poses)
+    # By tangent vectors (T, N) at the poses.
+    still = jnp.zeros_like(slopes.gradient)
+    gradient = jax.grad(lambda step: _cost(problem, retract(poses, step)))(still)
     change = gradient - jax.lax.stop_gradient(gradient)
     _, hessian = _solved(slopes, jnp.zeros((), change.dtype))
     return retract(poses, -solve_block_banded(jax.lax.stop_gradient(hessian), change))
@@ -156,18 +159,9 @@ def _cost(problem: _Problem, poses: Pose) -> Array:
     return (jnp.sum(own**2) + jnp.sum(_accelerations(problem, points) ** 2)) / 2
 
 
-def _gradient(problem: _Problem, poses: Pose) -> Array:
-    """(T, N) of the cost, by tangent vectors at the poses."""
-    still = jnp.zeros((len(poses.angles), problem.model.skeleton.costs.size), poses.angles.dtype)
-    return jax.grad(lambda step: _cost(problem, retract(poses, step)))(still)
-
-
 def _stencil(problem: _Problem) -> Array:
     """(T - 2, 3) of three successive points, to their acceleration in its deviations."""
-    steps = jnp.diff(problem.times)
-    h1, h2 = steps[:-1], steps[1:]
-    second = jnp.stack([1 / h1, -1 / h1 - 1 / h2, 1 / h2], 1) * jnp.sqrt(2 / (h1 + h2))[:, None]
-    return second / problem.settings.acceleration
+    return second_differences(problem.times) / problem.settings.acceleration
 
 
 def _accelerations(problem: _Problem, points: Array) -> Array:
@@ -199,7 +193,10 @@ def _slopes(problem: _Problem, poses: Pose) -> _Slopes:
 
     frames, points = jax.vmap(landmarks_of)(poses)
     flat = points.reshape(len(points), -1)
-    pull, accelerations = _pull(problem, flat).reshape(points.shape), _accelerations(problem, flat)
+    accelerations = _accelerations(problem, flat)
+    # Of half the prior's squares, by the points.
+    (pull,) = jax.vjp(partial(_accelerations, problem), flat)[1](accelerations)
+    pull = pull.reshape(points.shape)
 
     def of_event(
         pose: Pose, own: Measurements, frames: Frames, points: Array, pull: Array
@@ -216,11 +213,6 @@ def _slopes(problem: _Problem, poses: Pose) -> _Slopes:
     )
     cost = (jnp.sum(squares) + jnp.sum(accelerations**2)) / 2
     return _Slopes(cost, slope, _with_prior(problem, own, by_points), bending)
-
-
-def _pull(problem: _Problem, points: Array) -> Array:
-    """(T, M) the derivative of half the prior's squares by points (T, M)."""
-    return jax.grad(lambda points: jnp.sum(_accelerations(problem, points) ** 2) / 2)(points)
 
 
 def _with_prior(problem: _Problem, hessian: Array, jacobian: Array) -> BlockBands:

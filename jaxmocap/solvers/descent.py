@@ -244,7 +244,9 @@ def _corrected_step(
     def solve(carry: tuple) -> tuple:
         count, _, curved, moves, fixed, _, _ = carry
         A = H + curved * S
-        factor = _factor(A, moves, ridge)
+        # 1 for what does not move.
+        free = jnp.where(moves[:, None] & moves, A, 0.0) + jnp.diag(jnp.where(moves, ridge, 1.0))
+        factor = jax.lax.linalg.cholesky(free, symmetrize_input=False)
         push = slope + jnp.matmul(A, fixed, precision=HIGHEST)
         wanted = _solved(factor, jnp.where(moves, -push, 0.0))
         positive = jnp.all(jnp.isfinite(wanted))
@@ -270,12 +272,6 @@ def _corrected_step(
     back = _solved(factor, jnp.where(moves, -jnp.matmul(bent, J, precision=HIGHEST), 0.0))
     shorter = jnp.sum(sizes * back**2) <= jnp.sum(sizes * step**2)
     return jnp.clip(step + jnp.where(shorter, back, 0.0), low, high)
-
-
-def _factor(A: Array, moves: Array, ridge: Array) -> Array:
-    """Cholesky's factor of what moves of A (N, N), and 1 for what does not."""
-    free = jnp.where(moves[:, None] & moves, A, 0.0) + jnp.diag(jnp.where(moves, ridge, 1.0))
-    return jax.lax.linalg.cholesky(free, symmetrize_input=False)
 
 
 def _solved(factor: Array, right: Array) -> Array:

@@ -33,13 +33,13 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.planning.requirements import Requirements
 from jaxmocap.pipelines.planning.results import in_words
 from jaxmocap.pipelines.planning.subject import (
-    MOVEMENTS,
     Subject,
     drawn_subject,
     movement_of,
     settings_for,
 )
 from jaxmocap.synthetic.drawing_camera import look_at
+from jaxmocap.synthetic.movements.motions import MOTIONS, table_tennis
 
 AHEAD = CameraPlace(2.6, 0.0, 1.3, np.pi, -0.1, 0.0)
 WALLS = Bounds(
@@ -66,7 +66,7 @@ def doubled():
 @pytest.fixture(scope="module")
 def subject(doubled) -> Subject:
     """Somebody who plays table tennis."""
-    return drawn_subject(MOVEMENTS["tennis"](4.0, 0, 1.75), 1.75)
+    return drawn_subject(table_tennis(4.0, 0, height=1.75), 1.75)
 
 
 def goal_of(subject: Subject) -> Goal:
@@ -211,7 +211,7 @@ def test_what_cannot_be_planned_is_refused_in_a_sentence(
 
 
 def test_the_command_names_all_movements():
-    assert tuple(MOVEMENTS) == plan.MOVEMENTS
+    assert tuple(MOTIONS) == plan.MOVEMENTS
 
 
 def test_pairs_of_joints_have_a_plural():

@@ -29,6 +29,7 @@ from jaxmocap.evidence.appearance.learned import (
     landmark_halves,
 )
 from jaxmocap.evidence.silhouettes import HIDDEN_BEYOND_M, HIDDEN_SOFTLY_M, Silhouettes, forearms
+from jaxmocap.evidence.smoothness import second_differences
 from jaxmocap.evidence.terms import Measurements, linearised
 from jaxmocap.geometry.cameras import Camera, depth, project
 from jaxmocap.geometry.outlines import Swept, Touch, depth_along, swept, touch_swept
@@ -233,9 +234,7 @@ def _landmark_deviations(
 ) -> Array:
     """(T, L, 3) by the Hessians (T, N, N) of moments and the landmarks' derivatives (T, 3 L, N)."""
     T, M, N = jacobian.shape
-    h1, h2 = jnp.diff(times)[:-1], jnp.diff(times)[1:]
-    second = jnp.stack([1 / h1, -1 / h1 - 1 / h2, 1 / h2], 1) * jnp.sqrt(2 / (h1 + h2))[:, None]
-    second, at = second / settings.acceleration, np.arange(T)
+    second, at = second_differences(times) / settings.acceleration, np.arange(T)
     rows = jnp.zeros((T - 2, M, T, N), jacobian.dtype)
     for k in range(3):
         tied = second[:, k, None, None] * jacobian[k : T - 2 + k]

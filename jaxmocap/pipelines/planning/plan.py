@@ -29,7 +29,6 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.planning.requirements import Requirements, fov_deg
 from jaxmocap.pipelines.planning.results import CameraPlan
 from jaxmocap.pipelines.planning.subject import (
-    MOVEMENTS,
     SECONDS,
     SEED,
     drawn_subject,
@@ -38,6 +37,7 @@ from jaxmocap.pipelines.planning.subject import (
     settings_for,
 )
 from jaxmocap.pipelines.progress import Progress, progress_bar
+from jaxmocap.synthetic.movements.motions import MOTIONS
 
 # What else could be worn -> the landmarks that it holds.
 TRACKERS = {
@@ -64,7 +64,7 @@ def plan_cameras(
     Args:
         recording: whose markers show the movement, and whose cameras stand already; None draws one.
         required: joints, walls, lens.
-        movement: drawn where there is no recording, one of ``MOVEMENTS``.
+        movement: drawn where there is no recording, one of ``MOTIONS``.
         height: of that person, metres.
         settings: of the tracker.
         progress: see ``track``.
@@ -79,7 +79,7 @@ def plan_cameras(
     weights[rows] = 1 / len(rows)
     if recording is None:
         try:
-            performance = MOVEMENTS[movement](SECONDS, SEED, height)
+            performance = MOTIONS[movement](SECONDS, SEED, height=height)
         except ValueError as error:
             raise InputError("--height", str(error)) from None
         subject = drawn_subject(performance, height)

@@ -4,7 +4,6 @@ INPUTS: a Recording, or the name of a movement and a height. OUTPUTS: a Subject;
 terms of evidence ask for it.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -29,19 +28,9 @@ from jaxmocap.smoothing.facing import references
 from jaxmocap.smoothing.problem import SmoothingProblem, Views
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import counted_once
-from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.motions import Performance
 from jaxmocap.synthetic.recording import marker_places
 
-# Name -> seconds, seed and height to a performance.
-MOVEMENTS: dict[str, Callable[[float, int, float], Performance]] = {
-    "tennis": lambda *of: motions.table_tennis(of[0], of[1], height=of[2]),
-    "thrust": motions.thrust,
-    "reaching": motions.reaching,
-    "across": motions.across,
-    "raises": motions.raises,
-    "squat": motions.squat,
-}
 SECONDS, SEED = 4.0, 0
 # Stretches of a movement, moments of each, and moments a second.
 STRETCHES, MOMENTS, RATE_HZ = 4, 12, 15.0

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import expm, logm
+from scipy.spatial.transform import Rotation
 
 from jaxmocap.reference.kinematics import forward
 
@@ -87,7 +88,8 @@ def moved(pose: Pose, step: np.ndarray) -> Pose:
     """The pose after a step (6 + D,): the twist's shift moves the pelvis, its turn turns it."""
     T = expm(hat(np.concatenate([np.zeros(3), step[3:6]])))
     turned = T[:3, :3] @ _matrix(pose.quaternion)
-    return Pose(pose.position + step[:3], _quaternion(turned), pose.angles + step[6:])
+    quaternion = Rotation.from_matrix(turned).as_quat(scalar_first=True)
+    return Pose(pose.position + step[:3], quaternion, pose.angles + step[6:])
 
 
 def difference(pose: Pose, other: Pose) -> np.ndarray:
@@ -101,16 +103,3 @@ def _matrix(q: np.ndarray) -> np.ndarray:
     """(3, 3) of a unit quaternion, wxyz."""
     K = hat(np.concatenate([np.zeros(3), q[1:]]))[:3, :3]
     return np.eye(3) + 2 * q[0] * K + 2 * K @ K
-
-
-def _quaternion(R: np.ndarray) -> np.ndarray:
-    """Unit quaternion, wxyz: the null direction of how it turns."""
-    K = np.array(
-        [
-            [np.trace(R), R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
-            [R[2, 1] - R[1, 2], *(R[0] + R[:, 0] - np.trace(R) * np.eye(3)[0])],
-            [R[0, 2] - R[2, 0], *(R[1] + R[:, 1] - np.trace(R) * np.eye(3)[1])],
-            [R[1, 0] - R[0, 1], *(R[2] + R[:, 2] - np.trace(R) * np.eye(3)[2])],
-        ]
-    )
-    return np.linalg.eigh(K)[1][:, -1]

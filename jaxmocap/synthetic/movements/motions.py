@@ -7,7 +7,7 @@ way: markers at head and hands do not determine it.
 INPUTS: a kind of movement, a duration, a seed. OUTPUTS: a Performance.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -312,3 +312,14 @@ def spline_through(keys: list[tuple[float, Posture]]) -> Spline:
     return Spline.through(
         np.array([time for time, _ in keys]), np.stack([key.channels() for _, key in keys])
     )
+
+
+# Name -> of seconds, seed and height; a thrust goes at a camera of some azimuth as well.
+MOTIONS: dict[str, Callable[..., Performance]] = {
+    "tennis": table_tennis,
+    "thrust": thrust,
+    "reaching": reaching,
+    "across": across,
+    "raises": raises,
+    "squat": squat,
+}
