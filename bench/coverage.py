@@ -26,7 +26,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.capture.timeline import Mode
-from jaxmocap.evaluation.interval_coverage import interval_coverage
+from jaxmocap.evaluation.errors import interval_coverage
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled

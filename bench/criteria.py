@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.evaluation import Result, Sureness
 from bench.metrics import aligned
-from jaxmocap.evaluation.interval_coverage import IntervalCoverage, interval_coverage
+from jaxmocap.evaluation.errors import IntervalCoverage, interval_coverage
 
 # Of the real recording, which these cameras see from the front and the sides.
 FRONT = ("cam_01", "cam_02", "cam_04")

@@ -20,7 +20,7 @@ from bench.command_line import command
 from bench.metrics import Metric, aligned, write_json
 from bench.walkers import MOVEMENTS, as_toml, learned, walks
 from jaxmocap.body.skeleton import landmark_rows
-from jaxmocap.evaluation.interval_coverage import interval_coverage
+from jaxmocap.evaluation.errors import interval_coverage
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.series import second_difference
 from jaxmocap.formats.recordings.recording import Recording

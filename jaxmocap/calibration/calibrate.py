@@ -19,14 +19,15 @@ from jaxmocap.calibration.board.result_pictures import (
     draw_intrinsics,
     picture_folder,
 )
-from jaxmocap.calibration.intrinsics import IntrinsicsEstimate, estimate_intrinsics
-from jaxmocap.calibration.planar_poses import tilt_degrees
-from jaxmocap.calibration.view_coverage import (
+from jaxmocap.calibration.intrinsics import (
     ImageCoverage,
+    IntrinsicsEstimate,
+    estimate_intrinsics,
     image_coverage,
     intrinsics_warnings,
     why_undetermined,
 )
+from jaxmocap.calibration.planar_poses import tilt_degrees
 from jaxmocap.formats.cameras.calibration import (
     Intrinsics,
     check_camera_writable,

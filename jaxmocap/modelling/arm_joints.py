@@ -14,9 +14,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.sparse.csgraph import dijkstra
 
-from jaxmocap.modelling.pictures.corners import evenly_spaced, turning_angles
+from jaxmocap.modelling.arm_surface import ArmBones
 from jaxmocap.modelling.pictures.medial_axis import MedialAxis, path
+from jaxmocap.modelling.pictures.views import PhotographView
 from jaxmocap.modelling.readings import Reading
+from jaxmocap.modelling.separation import FrontLandmarks, trunk_run
 
 # Deviation of the blur over an axis, pixels.
 SMOOTH_PX = 4.0
@@ -120,3 +122,69 @@ def _rim(corner: np.ndarray, near: np.ndarray, far: np.ndarray, distance: np.nda
     line = corner + steps[:, None] * away
     inside = map_coordinates(distance, line[:, ::-1].T, order=1, mode="constant") > 0.5
     return steps[np.argmin(inside)] * away
+
+
+def evenly_spaced(points: np.ndarray, spacing: float = 1.0) -> np.ndarray:
+    """(N, 2) points so far apart along a path through (M, 2) points."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    way = np.append(0.0, np.cumsum(steps))
+    kept = np.append(True, steps > 0)
+    places = np.arange(0.0, way[-1], spacing)
+    return np.stack([np.interp(places, way[kept], line[kept]) for line in points.T], 1)
+
+
+def turning_angles(points: np.ndarray, reach: float) -> np.ndarray:
+    """(N,) by how much a path with points 1 apart turns at each of them, radians; 0 at its ends.
+
+    The arms of the angle reach from the point to those ``reach`` before and after: the largest
+    triangle inscribed there.
+    """
+    k = max(1, int(reach))
+    turned = np.zeros(len(points))
+    if len(points) <= 2 * k:
+        return turned
+    before, after = points[k:-k] - points[: -2 * k], points[2 * k :] - points[k:-k]
+    cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    turned[k:-k] = np.abs(np.arctan2(cross, np.sum(before * after, 1)))
+    return turned
+
+
+# Deviation of the blur over the middles of an arm's rows.
+SMOOTH_ROWS = 3.0
+# The world's unit vector that the person faces.
+AHEAD = np.array([1.0, 0.0, 0.0])
+
+
+def lifted_arms(
+    front: PhotographView, landmarks: FrontLandmarks, bent: tuple[ArmBones, ...]
+) -> tuple[ArmBones, ...]:
+    """Left and right arm in the front view, in the plane through their shoulders."""
+    return tuple(
+        _lifted(front, pit, side, bones)
+        for pit, side, bones in zip(landmarks.pits, (1, -1), bent, strict=True)
+    )
+
+
+def _lifted(front: PhotographView, pit: np.ndarray, side: int, bones: ArmBones) -> ArmBones:
+    """Of an arm on the right (1) or left (-1) of the image."""
+    middles, outer = [], float(pit[0])
+    for row in range(int(pit[1]) + 1, len(front.mask)):
+        columns = np.flatnonzero(front.mask[row])
+        beyond = columns[side * (columns - outer) > 0]
+        if len(beyond) == 0:
+            break
+        first, last = trunk_run(front.mask, row, float(beyond[np.argmin(side * beyond)]))
+        middles.append(((first + last) / 2, row))
+        # The gap beside the trunk widens downwards with the arm.
+        outer = max(outer, first - 1) if side > 0 else min(outer, last + 1)
+    if not middles:
+        raise ValueError("found no arm beside the trunk, expected arms lifted off the trunk")
+    way = gaussian_filter1d(np.array(middles), SMOOTH_ROWS, axis=0, mode="nearest")
+    places = front.plane_points(way, bones.shoulder, AHEAD)
+    ends, after = [bones.shoulder], 0
+    for length in bones.lengths:
+        far = np.linalg.norm(places[after:] - ends[-1], axis=1)
+        after += int(np.argmin(np.abs(far - length)))
+        towards = places[after] - ends[-1]
+        ends.append(ends[-1] + length * towards / np.linalg.norm(towards))
+    return ArmBones(*ends)

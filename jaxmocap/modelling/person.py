@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.modelling.arm_joints import ArmPixels, arm_axis, arm_joints
+from jaxmocap.modelling.arm_joints import ArmPixels, arm_axis, arm_joints, lifted_arms
 from jaxmocap.modelling.arm_surface import (
     ArmBones,
     arm_rings,
@@ -20,7 +20,6 @@ from jaxmocap.modelling.arm_surface import (
     hand_extent,
     without_elbow_fold,
 )
-from jaxmocap.modelling.lifted_arms import lifted_arms
 from jaxmocap.modelling.pictures.medial_axis import medial_axis, rim_distance
 from jaxmocap.modelling.pictures.views import PhotographView
 from jaxmocap.modelling.readings import OWN, Reading

@@ -15,7 +15,7 @@ import numpy as np
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.capture.photographs import picture_of
-from jaxmocap.evaluation.stick_figures import plot_stick_figures
+from jaxmocap.evaluation.plots import plot_stick_figures
 from jaxmocap.fitting.retarget import FEET, feet, grounded, leg_length, retargeted, scaled_by_legs
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder

@@ -5,7 +5,7 @@ Frames and views go through programs in batches of one size, which every recordi
 INPUTS: a SmoothingProblem, a Trajectory. OUTPUTS: Linearised; the trajectory that costs least.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -21,8 +21,7 @@ from threadpoolctl import threadpool_limits
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.compilation.arrays import on_device
-from jaxmocap.compilation.batches import in_batches
+from jaxmocap.compilation.arrays import in_batches, on_device
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, silhouette_fit
 from jaxmocap.evidence.terms import Measurements, Term, linearised
@@ -176,7 +175,9 @@ def linearise_problem(
     trajectory: Trajectory,
 ) -> Linearised:
     """All frames about their poses, and what they share."""
-    fit = FramesFit(*_over_frames(frames_fit, problem, workers, trajectory))
+    fixed = problem.settings.terms, problem.model, trajectory.proportions
+    frames = trajectory.poses, problem.measured
+    fit = FramesFit(*in_batches(partial(frames_fit, *fixed), frames, FRAMES_A_CALL, workers))
     cameras, size = len(trajectory.turns_cam), fit.jacobian.shape[2]
     n = size - trajectory.proportions.size
     # Frames do not depend on cameras.
@@ -192,7 +193,9 @@ def linearise_problem(
     )
     views = problem.views
     if len(views.frame):
-        price, by_view, pull = _over_views(views_fit, problem, softness, workers, trajectory)
+        drawn = problem.model.skeleton, trajectory.proportions, on_device(softness)
+        each = views_of(problem, trajectory)
+        price, by_view, pull = in_batches(partial(views_fit, *drawn), each, VIEWS_A_CALL, workers)
         parts = price, *among_cameras(by_view, pull, views.camera, cameras)
         for total, part in zip((cost, hessian, gradient), parts, strict=True):
             np.add.at(total, views.frame, part * problem.settings.silhouettes.weight)
@@ -202,31 +205,6 @@ def linearise_problem(
         hessian[:, :n, n:], hessian[:, n:, n:] + curvature, gradient[:, n:] + pull,
         jacobian[:, :, n:],
     )  # fmt: skip
-
-
-def _over_frames(
-    call: Callable,
-    problem: SmoothingProblem,
-    workers: ThreadPoolExecutor,
-    trajectory: Trajectory,
-) -> list[np.ndarray]:
-    """A function of batches of frames over all of them, float64."""
-    fixed = problem.settings.terms, problem.model, trajectory.proportions
-    each = trajectory.poses, problem.measured
-    return in_batches(lambda *b: call(*fixed, *b), each, FRAMES_A_CALL, workers)
-
-
-def _over_views(
-    call: Callable,
-    problem: SmoothingProblem,
-    softness: float,
-    workers: ThreadPoolExecutor,
-    trajectory: Trajectory,
-) -> list[np.ndarray]:
-    """A function of batches of views over all of them, float64."""
-    fixed = problem.model.skeleton, trajectory.proportions, on_device(softness)
-    each = views_of(problem, trajectory)
-    return in_batches(lambda *b: call(*fixed, *b), each, VIEWS_A_CALL, workers)
 
 
 def views_of(

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from bench.acceleration import compare_tracks, lag, resampled_by_spline
 from bench.wrong_turns import wrong_turns
-from jaxmocap.evaluation.interval_coverage import interval_coverage
+from jaxmocap.evaluation.errors import interval_coverage
 from jaxmocap.evaluation.series import second_difference
 
 TIMES = np.arange(540) / 90

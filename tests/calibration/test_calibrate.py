@@ -15,8 +15,12 @@ from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.board.corners import find_corners
 from jaxmocap.calibration.board.opencv_lenses import LensKind
 from jaxmocap.calibration.calibrate import calibrate_camera
-from jaxmocap.calibration.intrinsics import BoardView, estimate_intrinsics
-from jaxmocap.calibration.view_coverage import image_coverage, intrinsics_warnings
+from jaxmocap.calibration.intrinsics import (
+    BoardView,
+    estimate_intrinsics,
+    image_coverage,
+    intrinsics_warnings,
+)
 from jaxmocap.cli.program import main
 from jaxmocap.formats.cameras.calibration import Intrinsics, read_intrinsics
 

@@ -9,8 +9,12 @@ import pytest
 from held_devices import DEVICES, pivoting
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.calibration.devices.offsets import DeviceOffset, estimate_offsets
-from jaxmocap.calibration.devices.offsets_report import offsets_text, toml_line
+from jaxmocap.calibration.devices.offsets import (
+    DeviceOffset,
+    estimate_offsets,
+    offsets_text,
+    toml_line,
+)
 from jaxmocap.cli.program import main
 from jaxmocap.formats.files.toml import read_toml
 from jaxmocap.formats.recordings.marker_places import MarkerPlace, read_place

@@ -12,6 +12,7 @@ from pythonosc.osc_bundle_builder import OscBundleBuilder
 from pythonosc.osc_message_builder import OscMessageBuilder
 from scipy.spatial.transform import Rotation
 
+from jaxmocap.capture.markers import RecentMarkers
 from jaxmocap.capture.streams.inbox import Inbox, LiveFrame
 from jaxmocap.capture.streams.osc import (
     MAX_MARKER_MESSAGES,
@@ -20,7 +21,6 @@ from jaxmocap.capture.streams.osc import (
     MarkerMessage,
     parse_packet,
 )
-from jaxmocap.capture.streams.recent_markers import RecentMarkers
 from jaxmocap.capture.streams.sample_assembly import SENT_WITHIN_S, MarkerSample, SampleAssembler
 from jaxmocap.capture.streams.senders import SENDER_BURST
 from jaxmocap.capture.streams.stream_clock import JUMP_S, StreamClock

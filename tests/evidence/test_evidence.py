@@ -32,9 +32,14 @@ from jaxmocap.body.surfaces.cones import Cones
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.evidence.outlines.traced import outline_distance
 from jaxmocap.geometry.outlines import Discs
-from jaxmocap.hybrid.paper.chamfer import Chamfer, chamfer_sum, drawn_distance, integrated_distance
+from jaxmocap.hybrid.paper.chamfer import (
+    Chamfer,
+    chamfer_sum,
+    drawn_distance,
+    integrated_distance,
+    soft_coverage,
+)
 from jaxmocap.hybrid.settings import Settings, SimplexSettings
-from jaxmocap.images.raster import soft_coverage
 from jaxmocap.images.regions import Region
 from jaxmocap.reference import cameras as reference_cameras
 from jaxmocap.reference.hybrid import raster as reference

@@ -18,8 +18,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import retract
 from jaxmocap.body.proportions import PROPORTIONS, scaled
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.evidence.appearance.hulls import draw_hulls
-from jaxmocap.evidence.appearance.part_mask import BENEFIT, part_odds
+from jaxmocap.evidence.appearance.hulls import BENEFIT, draw_hulls, part_odds
 from jaxmocap.evidence.silhouettes import (
     LegGrid,
     SilhouetteGrids,

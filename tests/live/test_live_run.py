@@ -35,10 +35,9 @@ from jaxmocap.outputs.senders.vmc import DEFAULT_SEND, VmcTable
 from jaxmocap.outputs.senders.vrchat import VrchatTable
 from jaxmocap.pipelines.live.loop import Live
 from jaxmocap.pipelines.live.recording import LiveRecording
-from jaxmocap.pipelines.live.session import live_summary
+from jaxmocap.pipelines.live.session import live_summary, stopped_by_signals
 from jaxmocap.pipelines.live.setup import LiveSetup, load_live
 from jaxmocap.pipelines.live.status import LiveStatus
-from jaxmocap.pipelines.live.stop import stopped_by_signals
 from jaxmocap.pipelines.live.tracking import Output
 
 FILE = """

@@ -33,9 +33,8 @@ from jaxmocap.outputs.senders.osc import Bundle
 from jaxmocap.pipelines import view
 from jaxmocap.pipelines.live import session
 from jaxmocap.pipelines.live.loop import Live
-from jaxmocap.pipelines.live.session import live_summary, run_live
+from jaxmocap.pipelines.live.session import live_summary, run_live, stopped_by_signals
 from jaxmocap.pipelines.live.status import LiveStatus
-from jaxmocap.pipelines.live.stop import stopped_by_signals
 from jaxmocap.pipelines.signals import Terminated, raised_on_sigterm, signals_deferred
 
 posix = pytest.mark.skipif(

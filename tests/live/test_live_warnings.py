@@ -17,8 +17,7 @@ from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.capture.streams.stream_clock import RATE_WINDOW_S, RATE_WINDOWS, StreamClock
 from jaxmocap.outputs.senders.osc import Bundle
 from jaxmocap.outputs.senders.unity import to_unity
-from jaxmocap.pipelines.live.loop import Live
-from jaxmocap.pipelines.live.reach_state import MIN_SAMPLES, ReachState
+from jaxmocap.pipelines.live.loop import MIN_SAMPLES, Live, ReachState
 from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stream_states import stream_states
 

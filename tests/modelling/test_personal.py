@@ -14,7 +14,7 @@ from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.modelling.arm_joints import ArmPixels
+from jaxmocap.modelling.arm_joints import ArmPixels, lifted_arms
 from jaxmocap.modelling.arm_surface import (
     ArmBones,
     arm_rings,
@@ -24,7 +24,6 @@ from jaxmocap.modelling.arm_surface import (
     without_elbow_fold,
 )
 from jaxmocap.modelling.fitted_rings import fitted_grid
-from jaxmocap.modelling.lifted_arms import lifted_arms
 from jaxmocap.modelling.person import PersonModel, arm_on_axis
 from jaxmocap.modelling.personal import arm_angles, personal_model
 from jaxmocap.modelling.pictures.views import PhotographView

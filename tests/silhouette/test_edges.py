@@ -9,13 +9,14 @@ from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import Matches
-from jaxmocap.silhouette.fit.expected_pose import combined_prior
+from jaxmocap.silhouette.fit.cycles import combined_prior
 from jaxmocap.silhouette.segmentation.inner_edges import (
     InnerEdgeSettings,
+    colour_boundary,
+    colour_profiles,
     concatenated,
     inner_edge_pairs,
 )
-from jaxmocap.silhouette.segmentation.profiles import colour_boundary, colour_profiles
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 SKIN, SHIRT = np.array([120, 150, 200]), np.array([150, 70, 60])

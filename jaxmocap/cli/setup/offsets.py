@@ -36,8 +36,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
-    from jaxmocap.calibration.devices.offsets import find_offsets
-    from jaxmocap.calibration.devices.offsets_report import offsets_figures, offsets_text
+    from jaxmocap.calibration.devices.offsets import find_offsets, offsets_figures, offsets_text
 
     turning = options.turning or (float("-inf"), float("inf"))
     offsets = find_offsets(options.recording, options.still, turning)

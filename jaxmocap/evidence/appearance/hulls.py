@@ -7,6 +7,8 @@ import cv2
 import numpy as np
 
 from jaxmocap.geometry.outlines import Discs
+from jaxmocap.images.colours import Colours, colour_bins
+from jaxmocap.images.foreground import MOST_ODDS, SOFTNESS
 
 # Directions in which a hull's corners lie.
 ANGLES = np.linspace(0, 2 * np.pi, 24, endpoint=False)
@@ -34,3 +36,24 @@ def draw_hulls(discs: Discs, size: tuple[int, int]) -> np.ndarray:
     for polygon in np.round(corners).astype(np.int32):
         cv2.fillConvexPoly(mask, polygon, 1)
     return mask.view(bool)
+
+
+# The part is a piece of the person; where the person is doubtful it may still be there.
+BENEFIT = 1.0
+
+
+def part_odds(
+    frame: np.ndarray, person: np.ndarray, colours: Colours, elsewhere: np.ndarray
+) -> np.ndarray:
+    """Log-odds (h, w) float32 that pixels show the part.
+
+    Args:
+        frame: (h, w, 3) uint8.
+        person: (h, w) log-odds of the whole person.
+        colours: of the part against the rest of the body.
+        elsewhere: (h, w) bool, where something else may have the part's colours: weighs nothing.
+    """
+    ratio = np.take(np.log(colours.body / colours.rest), colour_bins(frame))
+    odds = np.clip(np.minimum(ratio, person + BENEFIT), -MOST_ODDS, MOST_ODDS)
+    odds = cv2.GaussianBlur(odds.astype(np.float32), (0, 0), SOFTNESS)
+    return np.where(elsewhere, np.float32(0), odds)

@@ -18,7 +18,7 @@ from jax import Array
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.compilation.packing import packed, unpacked
+from jaxmocap.compilation.arrays import packed, unpacked
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.learned import (
     BARE,

@@ -29,10 +29,22 @@ from jaxmocap.geometry.cameras import (
     pixel_components,
     pixels_per_metre,
 )
-from jaxmocap.geometry.outlines import Discs, swept, touch_swept
-from jaxmocap.images.raster import soft_coverage
+from jaxmocap.geometry.outlines import Discs, signed_distance, swept, touch_swept
 from jaxmocap.images.regions import Region, discs_in_region
 from jaxmocap.images.sampling import look_up, look_up_smoothly
+
+
+def soft_coverage(limbs: Discs, size: int, softness: Array | float) -> Array:
+    """Coverage (size, size) of the union of N limbs: ``1 - prod(1 - sigmoid(-d / softness))``.
+
+    Differentiable by the limbs; as ``softness`` (samples) goes to 0 it becomes b_ij of (12).
+    """
+    axis = jnp.arange(size, dtype=limbs.near.dtype)
+    grid = jnp.stack(jnp.meshgrid(axis, axis), -1)
+    each = Discs(*(part[:, None, None] for part in limbs))
+    inside = jax.nn.sigmoid(-signed_distance(each, grid) / softness)
+    return 1 - jnp.prod(1 - inside, 0)
+
 
 # Points along each limb, and from side to side.
 ALONG, ACROSS = 5, 4

@@ -3,8 +3,10 @@
 INPUTS: the file of a live run, options. OUTPUTS: figures, and their text.
 """
 
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any, Literal
@@ -24,10 +26,47 @@ from jaxmocap.pipelines.live.loop import Live
 from jaxmocap.pipelines.live.recording import check_free
 from jaxmocap.pipelines.live.setup import LiveSetup, load_live
 from jaxmocap.pipelines.live.status import LiveStatus
-from jaxmocap.pipelines.live.stop import stopped_by_signals
 from jaxmocap.pipelines.live.tracking import Output
 from jaxmocap.pipelines.signals import Terminated
 from jaxmocap.pipelines.view import start_viewer
+
+
+class Stop(threading.Event):
+    """The event that ends a run.
+
+    Attributes:
+        terminated: whether by SIGTERM or a closed terminal, not by Ctrl-C.
+    """
+
+    terminated = False
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[Stop]:
+    """An event that the signals set; a second Ctrl-C interrupts as ever.
+
+    Signals that are ignored stay so, as ``nohup`` wants it. Outside the main thread, which alone
+    has signals, it is an event like any other.
+    """
+    stop = Stop()
+
+    def set_stop(number: int, frame: Any) -> None:
+        stop.terminated |= number != signal.SIGINT
+        stop.set()
+        if number == signal.SIGINT:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    signals = {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}
+    if threading.current_thread() is not threading.main_thread():
+        signals = set()
+    taken = [each for each in signals if signal.getsignal(each) is not signal.SIG_IGN]
+    before = {each: signal.signal(each, set_stop) for each in taken}
+    try:
+        yield stop
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, signal.SIG_DFL if handler is None else handler)
+
 
 ViewerKind = Literal["window", "web"]
 # A viewer accepts connections after about so many seconds.

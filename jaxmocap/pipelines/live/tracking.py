@@ -24,9 +24,9 @@ from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import marker_sites
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import ELBOWS
+from jaxmocap.capture.markers import RecentMarkers
 from jaxmocap.capture.one_euro import OneEuro
 from jaxmocap.capture.streams.inbox import LiveFrame
-from jaxmocap.capture.streams.recent_markers import RecentMarkers
 from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.formats.recordings.marker_places import bone_points
 from jaxmocap.hybrid.refine import StepReport

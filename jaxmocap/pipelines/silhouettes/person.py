@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surfaces.cones import with_thickness
 from jaxmocap.body.surfaces.loft import stature_of
 from jaxmocap.body.surfaces.surface import Surface
-from jaxmocap.body.surfaces.thickness import with_thickness
 from jaxmocap.capture.photographs import picture_of, png_of, write_picture
 from jaxmocap.formats.animation.export import write_avatar
 from jaxmocap.formats.armatures.skin import TEXEL_M, check_texture

@@ -7,6 +7,7 @@ is left of its information without the pairs of some joints.
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.model import Model
@@ -19,7 +20,6 @@ from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.device_functions import ContourPairs, fit, free_pose
 from jaxmocap.silhouette.fit.camera_agreement import disagreeing, matched_shares
 from jaxmocap.silhouette.fit.correspond import matched_pairs
-from jaxmocap.silhouette.fit.expected_pose import combined_prior
 from jaxmocap.silhouette.fit.settling import has_settled
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, TermEvidence
 from jaxmocap.silhouette.segmentation.inner_edges import concatenated, inner_edge_pairs
@@ -29,6 +29,21 @@ from jaxmocap.silhouette.settings import Cycle, Settings
 from jaxmocap.silhouette.state import TrackedBody, TrackerConstants
 from jaxmocap.silhouette.surfaces.rim import Rim
 from jaxmocap.silhouette.surfaces.shape import NodePairs
+
+
+def combined_prior(expected: Pose, deviations: np.ndarray, rest: np.ndarray) -> Prior:
+    """The prior of a pose before its images.
+
+    Args:
+        expected: by the motion.
+        deviations: (6 + D,) about it, metres and radians.
+        rest: (D,) about 0, radians; infinite for joints that are not held there.
+    """
+    moving, still = deviations[ROOT_DOF:] ** -2.0, rest**-2.0
+    both = moving + still
+    angles = (moving / both * np.asarray(expected.angles)).astype(np.float32)
+    joined = np.concatenate([deviations[:ROOT_DOF], both**-0.5]).astype(np.float32)
+    return Prior(expected._replace(angles=jnp.asarray(angles)), jnp.asarray(joined))
 
 
 class FrameEvidence(NamedTuple):

@@ -15,7 +15,7 @@ from jaxmocap.body.kinematics import forward, jacobian, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.compilation.batches import in_batches
+from jaxmocap.compilation.arrays import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.markers import are_present, off_targets
 from jaxmocap.smoothing.window.events import WindowEvent
