@@ -23,7 +23,10 @@ from calibrations_of_others import (
     qualisys,
     vicon,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from jaxmocap.formats.calibrations.plain_pickle import read_plain_pickle
 from jaxmocap.formats.calibrations.registry import convert_calibration
 from jaxmocap.formats.cameras.calibration import read_calibration
 from jaxmocap.formats.files.errors import InputError
@@ -55,6 +58,51 @@ def sample(writer) -> tuple[str, bytes, dict[str, bytes]]:
         source, _ = writer(Path(folder), CAMERAS)
         files = {path.name: path.read_bytes() for path in Path(folder).iterdir()}
     return source.name, files[source.name], files
+
+
+def broken(data, content: bytes) -> bytes:
+    """Cut off, with some bytes replaced, or with a number that is none."""
+    start = data.draw(st.integers(0, len(content) - 1))
+    kind = data.draw(st.sampled_from(["cut", "bytes", "number"]))
+    if kind == "cut":
+        return content[:start]
+    if kind == "bytes":
+        return content[:start] + data.draw(st.binary(max_size=8)) + content[start + 4 :]
+    digits = [i for i in range(len(content)) if content[i : i + 1].isdigit()]
+    at = digits[start % len(digits)]
+    word = data.draw(st.sampled_from([b"nan", b"1e999", b"-", b"", b"[]", b"true", b"x" * 99]))
+    return content[:at] + word + content[at + 1 :]
+
+
+@settings(max_examples=40)
+@given(st.data(), st.sampled_from(FILES))
+def test_a_broken_file_is_converted_or_refused_in_one_sentence(data, writer):
+    name, content, files = sample(writer)
+    with tempfile.TemporaryDirectory() as folder:
+        for other, beside in files.items():
+            written(Path(folder), other, beside)
+        source = written(Path(folder), name, broken(data, content))
+        try:
+            convert_calibration(source, Path(folder) / "ours.toml", size=None)
+        except InputError as error:
+            assert "\n" not in str(error)
+
+
+@settings(max_examples=60)
+@given(st.data(), st.integers(2, 5))
+def test_a_broken_pickle_is_read_or_refused_in_one_sentence(data, protocol):
+    content = broken(data, pickle.dumps(opencap_table(place(1)), protocol=protocol))
+    try:
+        read_plain_pickle(Path("cam.pickle"), content)
+    except InputError as error:
+        assert "\n" not in str(error)
+
+
+@given(st.binary(max_size=200))
+def test_bytes_without_sense_are_refused(content):
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("a.json", "b.toml", "c.yml", "d.xcp"):
+            refused(written(Path(folder), name, content))
 
 
 class Runs:

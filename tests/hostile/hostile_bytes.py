@@ -7,12 +7,14 @@ import json
 import re
 import struct
 import tomllib
+import zlib
 from collections.abc import Callable
 from itertools import islice
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from hostile_values import (
+    NUMBERS,
     as_json,
     as_toml,
     brief,
@@ -155,6 +157,16 @@ def numbers_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     return new, f"{match[0].decode()} at byte {match.start()} = {brief(number)}"
 
 
+def zeroed(rng: np.random.Generator, content: bytes) -> Mutated:
+    """From one of the lines on, all numbers behind a row's first two are zeros."""
+    lines = content.split(b"\n")
+    start, rows = int(rng.integers(len(lines))), rb"((?:[^\t, ]+[\t, ]+){2})(.*)"
+    for i in range(start, len(lines)):
+        if match := re.fullmatch(rows, lines[i]):
+            lines[i] = match[1] + re.sub(rb"-?\d[\d.eE+-]*", b"0.0", match[2])
+    return b"\n".join(lines), f"zeros from line {start + 1} on"
+
+
 def words_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     """A word becomes a hostile text."""
     actual = list(islice(re.finditer(rb"[A-Za-z_][\w.]*", content), MOST_PLACES))
@@ -178,11 +190,68 @@ def toml_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     return as_toml(tree), "; ".join(done)
 
 
+def toml_deep(rng: np.random.Generator, content: bytes) -> Mutated:
+    """Keys, arrays or tables many levels deep, or very many of them."""
+    depth = int(rng.choice([101, 5000, 100_000]))
+    ways = {
+        "dotted key": "a" + ".a" * depth + " = 1\n",
+        "arrays": "a = " + "[" * depth + "]" * depth + "\n",
+        "tables": "a = " + "{a=" * depth + "1" + "}" * depth + "\n",
+        "header": "[a" + ".a" * depth + "]\n",
+        "whole number": f"a = {'9' * 5000}\n",
+        "unclosed": 'a = "' + "x" * depth,
+        "many keys": "".join(f"k{i} = {i}\n" for i in range(min(depth, 20_000))),
+        "date": "a = 9999-99-99T99:99:99Z\n",
+    }
+    name = str(rng.choice(list(ways)))
+    before = rng.random() < 0.5
+    new = ways[name].encode()
+    return (new + content if before else content + b"\n" + new), f"{name}, {depth}"
+
+
 def json_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     """Keys and values of other kinds."""
     tree = json.loads(content)
     done = [change_tree(rng, tree) for _ in range(int(rng.choice([1, 1, 2])))]
     return as_json(tree), "; ".join(done)
+
+
+def json_deep(rng: np.random.Generator, content: bytes) -> Mutated:
+    """Deep brackets, alone or in place of a number."""
+    depth = int(rng.choice([1000, 100_000]))
+    deep = b"[" * depth + b"]" * depth
+    if rng.random() < 0.5:
+        return deep, f"{depth} brackets"
+    return re.sub(rb"\d+\.?\d*", lambda _: deep, content, count=1), f"{depth} brackets in it"
+
+
+def png_changed(rng: np.random.Generator, content: bytes) -> Mutated:
+    """A header that claims other sizes or depths; the checksum is right."""
+    fields = list(struct.unpack_from(">IIBBBBB", content, 16))
+    at = int(rng.integers(len(fields)))
+    fields[at] = int(rng.choice([0, 1, 16, 30_000, 2**31 - 1, 2**32 - 1])) % (
+        2**32 if at < 2 else 256
+    )
+    head = b"IHDR" + struct.pack(">IIBBBBB", *fields)
+    sealed = head + struct.pack(">I", zlib.crc32(head))
+    return content[:12] + sealed + content[33:], f"IHDR {fields}"
+
+
+def png_bomb(rng: np.random.Generator, content: bytes) -> Mutated:
+    """30,000 × 30,000 pixels, all of them there."""
+    side = int(rng.choice([10_000, 30_000]))
+    head = b"IHDR" + struct.pack(">IIBBBBB", side, side, 1, 0, 0, 0, 0)
+    data = b"IDAT" + zlib.compress(bytes(side * (1 + -(-side // 8))), 1)
+    chunks = [head, data, b"IEND"]
+    sealed = (struct.pack(">I", len(c) - 4) + c + struct.pack(">I", zlib.crc32(c)) for c in chunks)
+    return content[:8] + b"".join(sealed), f"{side} × {side} pixels"
+
+
+def jpeg_changed(rng: np.random.Generator, content: bytes) -> Mutated:
+    """Another height and width in the frame's header."""
+    at = max(content.find(b"\xff\xc0"), content.find(b"\xff\xc2"))
+    size = [int(n) for n in rng.choice([0, 1, 7, 65_535], 2)]
+    return content[: at + 5] + struct.pack(">HH", *size) + content[at + 9 :], f"frame of {size}"
 
 
 def boxes_changed(rng: np.random.Generator, content: bytes) -> Mutated:
@@ -192,6 +261,62 @@ def boxes_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     at = actual[rng.integers(len(actual))] + int(rng.choice([-4, 4, 8, 12, 16, 20, 24]))
     word = WORDS[rng.integers(len(WORDS))]
     return content[:at] + struct.pack(">I", word) + content[at + 4 :], f"{word} at byte {at}"
+
+
+def c3d_changed(rng: np.random.Generator, content: bytes) -> Mutated:
+    """A word of the header, or of the parameters behind it."""
+    header = {
+        "points": 2,
+        "analogue": 4,
+        "first": 6,
+        "last": 8,
+        "scale": 12,
+        "data": 16,
+        "rate": 20,
+    }
+    name = str(rng.choice([*header, "parameters"]))
+    at = header.get(name, int(rng.integers(512, min(len(content), 3000))))
+    new = struct.pack("<f", float(rng.choice([np.nan, np.inf, 1e38, 1e24, 1e-39, 0, -1])))
+    if name not in ("scale", "rate"):
+        new = struct.pack("<H", int(rng.choice([0, 1, 32_767, 65_535])))
+    return content[:at] + new + content[at + len(new) :], f"{name}: {new.hex()} at byte {at}"
+
+
+def bvh_changed(rng: np.random.Generator, content: bytes) -> Mutated:
+    """A hierarchy or a rate that no body has."""
+    text, depth = content.decode(), int(rng.choice([500, 3000, 20_000]))
+    joint = "JOINT a{} {{\nOFFSET 0 0 0\nCHANNELS 3 Zrotation Xrotation Yrotation\n"
+    deep = "".join(joint.format(i) for i in range(depth)) + "End Site {\nOFFSET 0 0 0\n}\n"
+    ways = {
+        "deep": text.replace("End Site", deep + "}\n" * depth + "End Site", 1),
+        "unclosed": text.replace("End Site", deep + "End Site", 1),
+        "frames": re.sub(r"Frames:\s*\d+", f"Frames: {rng.choice(NUMBERS)}", text),
+        "time": re.sub(r"Frame Time:.*", f"Frame Time: {rng.choice(NUMBERS)}", text),
+        "long time": re.sub(r"Frame Time:.*", "Frame Time: 1e300", text),
+        "channels": text.replace("CHANNELS 3", f"CHANNELS {rng.choice(NUMBERS)}", 1),
+        "twice": text.replace("Xrotation", "Yrotation"),
+        "no end": text.replace("}", "", int(rng.integers(1, 5))),
+        "same name": re.sub(r"JOINT \w+", "JOINT same", text),
+    }
+    name = str(rng.choice(list(ways)))
+    return ways[name].encode(), f"{name}, {depth}"
+
+
+def yaml_changed(rng: np.random.Generator, content: bytes) -> Mutated:
+    """What YAML can do and OpenCV's never does."""
+    text = content.decode()
+    ways = {
+        "continued": text.replace("data: [", "data: [ 1,\n" + "  1,\n" * 300_000, 1),
+        "tag": text + "x: !!python/object/apply:os.system ['touch EVIL']\n",
+        "aliases": text + "a: &a [1]\nb: [*a, *a]\n",
+        "rows": re.sub(r"rows: \d+", f"rows: {rng.choice(NUMBERS)}", text, count=1),
+        "sizes": text.replace("rows: 3", "sizes: [1000000000]", 1),
+        "deep": text + "a: " + "[" * 100_000 + "\n",
+        "many": text + "".join(f"k{i}: {i}\n" for i in range(50_000)),
+        "colons": text + "a" + ": a" * 20_000 + "\n",
+    }
+    name = str(rng.choice(list(ways)))
+    return ways[name].encode(), name
 
 
 def xml_changed(rng: np.random.Generator, content: bytes) -> Mutated:
