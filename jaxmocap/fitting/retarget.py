@@ -72,7 +72,7 @@ def leg_length(skeleton: Skeleton) -> float:
 
 def feet(skeleton: Skeleton, poses: Pose) -> np.ndarray:
     """(T, F, 3) both ends of both feet, world, metres."""
-    rows = [LANDMARKS.index(name) for name in FEET]
+    rows = np.array([LANDMARKS.index(name) for name in FEET])
     return landmarks_over_time(skeleton, poses, rows).astype(float)
 
 
