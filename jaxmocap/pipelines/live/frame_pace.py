@@ -5,7 +5,7 @@ Markers must not wait: a pose is owed for each of their samples, and a frame onl
 INPUTS: seconds worked and passed. OUTPUTS: whether the next frame is due.
 """
 
-import numpy as np
+import math
 
 # Share of the time that tracking may take, so that the threads that receive find some as well.
 MOST_BUSY = 0.85
@@ -20,7 +20,7 @@ class FramePace:
     """Seconds of work that were taken beyond ``MOST_BUSY`` of those that passed."""
 
     def __init__(self) -> None:
-        self._behind, self._last_frame = 0.0, -np.inf
+        self._behind, self._last_frame = 0.0, -math.inf
 
     def spent(self, worked: float, passed: float) -> None:
         """Count seconds of work among so many that passed."""
