@@ -135,7 +135,9 @@ class Live:
         if self.recording is not None:
             ending.callback(self.recording.close)
         longest = LONGEST_SMOOTHED_QUEUE if smooth else LONGEST_QUEUE
-        self._inbox, self._pace = Inbox(longest, keep_turns=not smooth), FramePace()
+        self._inbox = Inbox(longest, keep_turns=not smooth)
+        # Smoothed, a frame takes more than all else; alone, hardly more than a sample.
+        self._pace = FramePace() if smooth else None
         self._began = monotonic()
         bind = bone_point_binder(setup.skeleton, setup.places)
         gathering = SampleAssembler(
@@ -218,7 +220,7 @@ class Live:
     def _handle_next(self) -> None:
         """Take one sample, or the newest frames, from the inbox; track it; update the status."""
         began = self._now()
-        taken = self._inbox.take(0.05, self._pace.is_due(began))
+        taken = self._inbox.take(0.05, self._pace is None or self._pace.is_due(began))
         took = self._now()
         if isinstance(taken, MarkerSample):
             self._newest_sample = taken.arrived
@@ -226,7 +228,7 @@ class Live:
             outputs = self.tracking.sample(taken)
         else:
             outputs = self.tracking.frames(taken) if taken else []
-            if taken:
+            if taken and self._pace is not None:
                 self._pace.took_frame(took)
             if taken and self._viewer is not None:
                 names = [video.camera_name for video in self._setup.videos]
@@ -239,7 +241,8 @@ class Live:
             for sender, to in self._senders:
                 to.send(sender.lost(now))
         self._update_status(now)
-        self._pace.spent(self._now() - took, self._now() - began)
+        if self._pace is not None:
+            self._pace.spent(self._now() - took, self._now() - began)
 
     def _send(self, output: Output) -> None:
         local = self._body.local(output.pose)
