@@ -163,7 +163,7 @@ COLOURS = {"l": "#1557b0", "r": "#c62828"}
 
 
 def plot_stick_figures(path: str | Path, people: Mapping[str, Motion]) -> None:
-    """Draw each person at the same instants seen from the side, and how high their feet are.
+    """Draw each person at the same instants from the side, and how high their feet are.
 
     Args:
         path: of the picture (.png, .svg, .pdf).
@@ -186,7 +186,7 @@ def plot_stick_figures(path: str | Path, people: Mapping[str, Motion]) -> None:
 
 
 def _draw_figures(panel, joints: dict[str, np.ndarray], highest: float) -> None:
-    """Figures at instants evenly over time, each beside the last, seen from the side."""
+    """Figures at instants evenly over time, each beside the last, from the side."""
     count = len(joints["pelvis"])
     for k, row in enumerate(np.linspace(0, count - 1, min(INSTANTS, count)).round().astype(int)):
         ahead = np.cross(joints["hip_l"][row] - joints["hip_r"][row], [0.0, 0.0, 1.0])

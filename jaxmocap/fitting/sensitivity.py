@@ -22,7 +22,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.model import Model
-from jaxmocap.compilation.arrays import in_batches
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.evidence.smoothness import Smoothness
 from jaxmocap.fitting.sensitivity_batches import (
     frames_backwards,

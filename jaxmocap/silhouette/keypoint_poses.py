@@ -25,7 +25,7 @@ from jaxmocap.body.pose import Pose, relaxed_pose, retract
 from jaxmocap.body.proportions import LENGTHS
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.compilation.arrays import in_batches
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.balance import Balance

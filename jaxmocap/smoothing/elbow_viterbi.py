@@ -35,7 +35,8 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
-from jaxmocap.compilation.arrays import in_batches, on_device
+from jaxmocap.compilation.arrays import on_device
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.keypoints import SightLines, line_residuals
 from jaxmocap.evidence.silhouettes import (

@@ -46,11 +46,11 @@ from jaxmocap.smoothing.window.events import (
 from jaxmocap.smoothing.window.sliding import SOFTNESS, Window, stacked
 from jaxmocap.smoothing.window.track import (
     FADED_M,
-    GivenPose,
     Sample,
+    TrackPose,
     at_event,
     between_events,
-    given_poses,
+    track_poses,
 )
 from jaxmocap.solvers.fading import Fading
 
@@ -262,19 +262,19 @@ class FixedLagSmoother:
             return []
         deviations, from_prior = self._deviations(ready[-1])
         self._correct()
-        given = []
+        track: list[TrackPose] = []
         for i in ready:
             earlier = [each for each in self._between if each.number < events[i].number]
-            given += [*between_events(events, i, earlier), at_event(events[i])]
+            track += [*between_events(events, i, earlier), at_event(events[i])]
             self._between = self._between[len(earlier) :]
         if final:
-            given += between_events(events, len(events), self._between)
-        poses = given_poses(self._person, [self._faded(each) for each in given])
+            track += between_events(events, len(events), self._between)
+        poses = track_poses(self._person, [self._faded(each) for each in track])
         last = events[ready[-1]]
         self._last_given, self._given = (last.number, last.pose), last.number + 1
         return [
             SmoothedPose(each.number, each.time, unpack(pose), deviations, from_prior)
-            for each, pose in zip(given, poses, strict=True)
+            for each, pose in zip(track, poses, strict=True)
         ]
 
     def _deviations(self, newest: int) -> tuple[np.ndarray, np.ndarray]:
@@ -310,12 +310,12 @@ class FixedLagSmoother:
         (offset,) = offsets(stacked([pose]), stacked([now[number]]))
         self._fading = self._fading.corrected(offset)
 
-    def _faded(self, given: GivenPose) -> GivenPose:
+    def _faded(self, pose: TrackPose) -> TrackPose:
         """A pose with what is left of corrections."""
-        nothing = np.zeros(given.events.shape[1] - 1)
-        fading = self._fading or Fading(nothing, nothing, given.time)
-        self._fading = fading.at(given.time, FADE_S)
-        return given._replace(offset=self._fading.offset)
+        nothing = np.zeros(pose.events.shape[1] - 1)
+        fading = self._fading or Fading(nothing, nothing, pose.time)
+        self._fading = fading.at(pose.time, FADE_S)
+        return pose._replace(offset=self._fading.offset)
 
     def _shorten(self, solved: WindowEquations) -> None:
         """Condense the oldest events: the newest few video frames stay, and what still waits."""

@@ -21,7 +21,8 @@ from threadpoolctl import threadpool_limits
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.compilation.arrays import in_batches, on_device
+from jaxmocap.compilation.arrays import on_device
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, silhouette_fit
 from jaxmocap.evidence.terms import Measurements, Term, linearised

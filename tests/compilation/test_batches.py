@@ -5,7 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from jaxmocap.compilation.arrays import in_batches
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.smoothing.linearise import two_workers
 
 COUNT, WIDTH, SIZE = 5000, 200, 64

@@ -23,7 +23,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton
 from jaxmocap.body.surfaces.cones import cones, project_cones
 from jaxmocap.body.tree import Tree
-from jaxmocap.compilation.arrays import in_batches
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import Program
 from jaxmocap.evidence.appearance.hulls import draw_hulls, part_odds
 from jaxmocap.evidence.silhouettes import FOREARMS, LegGrid, SilhouetteGrids

@@ -47,7 +47,7 @@ OCCLUSION_SLACKS = ((1, 0.015), (14, 0.12))
 # Texels to a cell in which occlusion is tested.
 CELL_TEXELS = 2.0
 # How much a photograph counts for arms and for the rest: others were taken for those. From the side
-# a spread arm is seen end-on.
+# a spread arm points at the camera.
 COUNTS = {"front": (0.25, 1.0), "side": (0.0, 1.0), "joint": (1.0, 0.25), "arm_side": (1.0, 0.25)}
 # How much the other side's colours count by one's own.
 MIRRORED = 0.3

@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
-from jaxmocap.compilation.arrays import in_batches
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.fitting.marker_fit import (
     FIT_PERSON,
     LANDMARK_VARIANCES,

@@ -20,7 +20,7 @@ from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.capture.filters import butterworth_low_pass
-from jaxmocap.compilation.arrays import in_batches
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.pipelines.tracking import warnings
 from jaxmocap.pipelines.tracking.events import RecordingEvents

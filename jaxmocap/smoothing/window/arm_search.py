@@ -18,7 +18,7 @@ from jax import Array
 from jaxmocap.body.arms import TURNS, arm_dofs, hang
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import pack, unpack
-from jaxmocap.compilation.arrays import in_batches
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.geometry.cameras import Camera

@@ -15,7 +15,8 @@ from jax import Array
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.compilation.arrays import in_batches, packed, unpacked
+from jaxmocap.compilation.arrays import packed, unpacked
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.running import MeasuredFrame
 from jaxmocap.evidence.ground import ANKLES

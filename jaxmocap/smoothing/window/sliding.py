@@ -18,7 +18,7 @@ from jax import Array
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.compilation.arrays import in_batches
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes, silhouette_fit
 from jaxmocap.evidence.smoothness import REACH

@@ -15,14 +15,14 @@ from jaxmocap.body.kinematics import forward, jacobian, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.compilation.arrays import in_batches
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.markers import are_present, off_targets
 from jaxmocap.smoothing.window.events import WindowEvent
 from jaxmocap.solvers.sdls import clamp_lengths, damped_step
 
 # Poses per call, so that they compile once.
-GIVEN_A_CALL = 4
+TRACK_A_CALL = 4
 # In place of the seconds to an event that is not there.
 ENDLESS_S = 1e6
 # Corrections that fade in move the markers' points by no more than this, metres.
@@ -45,7 +45,7 @@ class Sample(NamedTuple):
     markers_world: np.ndarray
 
 
-class GivenPose(NamedTuple):
+class TrackPose(NamedTuple):
     """A pose on the track between two events of a window, or on one of them.
 
     Attributes:
@@ -67,18 +67,18 @@ class GivenPose(NamedTuple):
     offset: np.ndarray = np.zeros(0)
 
 
-def at_event(event: WindowEvent) -> GivenPose:
+def at_event(event: WindowEvent) -> TrackPose:
     """An event's own pose, before corrections."""
     there = np.stack([np.concatenate(event.pose)] * 4)
     spans, markers = np.full(3, ENDLESS_S), event.measured["markers"]
-    return GivenPose(event.number, event.time, there, spans, 0.0, markers)
+    return TrackPose(event.number, event.time, there, spans, 0.0, markers)
 
 
 def between_events(
     events: Sequence[WindowEvent],
     i: int,
     samples: Sequence[Sample],
-) -> list[GivenPose]:
+) -> list[TrackPose]:
     """Samples before the ith event of a window, or straight on beyond the last one, likewise.
 
     Args:
@@ -97,26 +97,26 @@ def between_events(
     spans = np.where(np.diff(rows) > 0, np.diff(times), ENDLESS_S)
     poses = np.stack([np.concatenate(events[row].pose) for row in rows])
     return [
-        GivenPose(number, time, poses, spans, (time - times[1]) / spans[1], markers)
+        TrackPose(number, time, poses, spans, (time - times[1]) / spans[1], markers)
         for number, time, markers in samples
     ]
 
 
-def given_poses(model: Model, given: Sequence[GivenPose]) -> np.ndarray:
+def track_poses(model: Model, track: Sequence[TrackPose]) -> np.ndarray:
     """Packed poses (G, 7 + D), moved by their offsets, near their markers (``moved_near_markers``).
 
     Args:
         model: M markers, D degrees of freedom.
-        given: where they lie.
+        track: where they lie.
     """
-    columns = zip(*(tuple(each)[2:] for each in given), strict=True)
+    columns = zip(*(tuple(each)[2:] for each in track), strict=True)
     stacks = tuple(np.stack(column).astype(model.dtype) for column in columns)
-    (poses,) = in_batches(lambda *some: (_given_poses(model, *some),), stacks, GIVEN_A_CALL)
+    (poses,) = in_batches(lambda *some: (_track_poses(model, *some),), stacks, TRACK_A_CALL)
     return poses.astype(model.dtype)
 
 
 @program("quick")
-def _given_poses(
+def _track_poses(
     model: Model,
     events: Array,
     spans: Array,
@@ -124,7 +124,7 @@ def _given_poses(
     markers_world: Array,
     offset: Array,
 ) -> Array:
-    """``given_poses`` of stacks."""
+    """``track_poses`` of stacks."""
 
     def one(
         events: Array, spans: Array, share: Array, markers_world: Array, offset: Array
