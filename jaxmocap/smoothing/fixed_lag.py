@@ -19,6 +19,7 @@ not jump (``fading``).
 INPUTS: markers, images, a tracker's reports on them. OUTPUTS: smoothed poses, a little later.
 """
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -50,6 +51,7 @@ from jaxmocap.smoothing.window.track import (
     TrackPose,
     at_event,
     between_events,
+    interpolate_markers,
     track_poses,
 )
 from jaxmocap.solvers.fading import Fading
@@ -62,11 +64,13 @@ DELAY_S = 0.1
 KEPT_FRAMES = 3
 # for so many seconds at most.
 KEPT_S = 0.2
-# A marker sample is an event of the window so many seconds after the last one; others lie between.
-# Of a headset's three samples to a video frame two do: two thirds of the time for the same elbows.
-EVENT_S = 0.015
+# A marker sample is an event of the window so many seconds after the last one, and where no event
+# of the window has an image; others lie between. A video's frames are events enough.
+EVENT_S, EVENT_UNSEEN_S = 0.045, 0.015
+# Samples that frames between them take their markers from.
+RECENT_SAMPLES = 40
 # Events that wait for the next video frame before the window is solved without one,
-MOST_WAITING = 10
+MOST_WAITING = 3
 # and where no event of the window has one: nothing more is to come.
 MOST_WAITING_UNSEEN = 2
 # Deviations are found at one video frame in so many, and hold until the next one.
@@ -137,6 +141,7 @@ class FixedLagSmoother:
         # Number and pose of the event given out last.
         self._last_given: tuple[int, Pose] | None = None
         self._waiting: list[ReportedStep] = []
+        self._samples = deque[Sample](maxlen=RECENT_SAMPLES)
         # Samples between events that were not given out yet.
         self._between: list[Sample] = []
         self._frames_since_sure, self._sure = SURE_EVERY, None
@@ -153,7 +158,7 @@ class FixedLagSmoother:
         Args:
             time: as the tracker had it, later than the last one.
             markers_world: (M, 3) metres; NaN where missing. Markers that were only extrapolated to
-                this time are better left out.
+                this time are left out: a frame without markers has them by the samples about it.
             images: a BGR (for colours to count) or grey uint8 frame per camera, None where there is
                 no new one.
             report: of the tracker's ``solve`` of these markers; not asked for where it
@@ -163,17 +168,19 @@ class FixedLagSmoother:
             What is final now: of no event, or of some, in order.
         """
         final: list[SmoothedPose] = []
+        sample = Sample(self._count, float(time), np.asarray(markers_world))
+        self._count += 1
         if self.lies_between(time, images):
-            self._between.append(Sample(self._count, float(time), np.asarray(markers_world)))
-            self._count += 1
+            self._samples.append(sample)
+            self._between.append(sample)
             return final
         assert report is not None, "a step that does not lie between others has a report"
         last = self._last_time()
         if last is not None and (bool(report.placed) or time - last > LONGEST_GAP_S):
             final += self.flush()
-        step = ReportedStep(self._count, float(time), markers_world, images, report)
-        self._waiting.append(step)
-        self._count += 1
+        if np.isfinite(sample.markers_world).any():
+            self._samples.append(sample)
+        self._waiting.append(ReportedStep(*sample, images, report))
         most = MOST_WAITING if self._is_seen else MOST_WAITING_UNSEEN
         if len(self._waiting) < most and not self._waiting[-1].has_image:
             return final
@@ -182,7 +189,8 @@ class FixedLagSmoother:
     def lies_between(self, time: float, images: Sequence[np.ndarray | None] | None) -> bool:
         """Whether a step follows the last event so closely that it lies between two of them."""
         last = self._last_time()
-        return last is not None and time - last < EVENT_S and not any_image(images)
+        apart = EVENT_S if self._is_seen else EVENT_UNSEEN_S
+        return last is not None and time - last < apart and not any_image(images)
 
     def flush(self) -> list[SmoothedPose]:
         """The poses that still wait, as they are; the next step begins a new motion."""
@@ -224,6 +232,7 @@ class FixedLagSmoother:
             }
             frames = self._frames(step.images, there.pose)
             events.append(WindowEvent(step.number, step.time, measured, there.pose, frames))
+        interpolate_markers(events, self._samples)
 
     def _frames(
         self, images: Sequence[np.ndarray | None] | None, pose: Pose

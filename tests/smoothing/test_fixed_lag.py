@@ -33,7 +33,13 @@ from jaxmocap.smoothing.window.equations import (
     SilhouetteQuadratic,
     window_equations,
 )
-from jaxmocap.smoothing.window.track import STRAY_M, moved_near_markers
+from jaxmocap.smoothing.window.track import (
+    LONGEST_INTERVAL_S,
+    STRAY_M,
+    Sample,
+    markers_at,
+    moved_near_markers,
+)
 from jaxmocap.solvers.fading import Fading
 
 COUNT = 24
@@ -231,6 +237,41 @@ def test_samples_that_follow_a_frame_closely_lie_on_the_track_beside_their_marke
     longest = np.linalg.norm(after - before, axis=-1) + 0.01
     assert (np.linalg.norm(there - before, axis=-1) < longest).all()
     assert (np.linalg.norm(there - after, axis=-1) < longest).all()
+
+
+def test_a_frame_between_two_samples_has_the_markers_that_lie_there():
+    smoother, shown, count = smoother_of(), images(), 12
+    nothing = np.full_like(markers()[0], np.nan)
+    for i in range(1, count):
+        if i > 1:
+            middle = (markers()[i - 1] + markers()[i]) / 2
+            smoother.step(TIMES[i] - 0.5 / RATE, middle, None, None)
+        smoother.step(TIMES[i], nothing, [shown[i]], report(i))
+    events = smoother._window.events
+    for event in events[:-1]:
+        there = markers()[np.searchsorted(TIMES, event.time - 1e-9)]
+        assert np.abs(event.measured["markers"] - there).max() < 5e-3
+    # Beyond the last sample they go straight on.
+    assert np.abs(events[-1].measured["markers"] - markers()[count - 1]).max() < 0.02
+
+
+@given(st.floats(0, 0.11), st.integers(0, 3))
+def test_markers_of_a_straight_motion_are_where_they_go(time, missing):
+    at = np.arange(4) * 0.03
+    samples = [Sample(i, t, np.array([[t, 2 * t, 1.0], [0, 0, t]])) for i, t in enumerate(at)]
+    assert np.allclose(markers_at(samples, time), [[time, 2 * time, 1.0], [0, 0, time]], atol=1e-6)
+    samples[missing].markers_world[0] = np.nan
+    found = markers_at(samples, time)
+    after = int(np.clip(np.searchsorted(at, time, side="right"), 1, 3))
+    assert np.isnan(found[0]).all() == (missing in (after - 1, after))
+    assert np.isfinite(found[1]).all()
+
+
+def test_markers_beyond_a_gap_are_unknown():
+    far = [Sample(i, t, np.zeros((1, 3))) for i, t in enumerate((0.0, 2 * LONGEST_INTERVAL_S))]
+    assert np.isnan(markers_at(far, LONGEST_INTERVAL_S)).all()
+    near = [Sample(i, t, np.zeros((1, 3))) for i, t in enumerate((0.0, 0.01))]
+    assert np.isnan(markers_at(near, 0.03)).all() and np.isfinite(markers_at(near, 0.015)).all()
 
 
 # What is missing ---------------------------------------------------------------------------------

@@ -27,8 +27,8 @@ from jaxmocap.smoothing.window.equations import LinearEvent
 # Of what an ``Expected`` holds beside the pose.
 _EXPECTED_SHAPES = np.empty(2), np.empty(2), np.empty((2, 3))
 # Events per call, so that they compile once.
-EXPECTED_A_CALL = 2
-MOVED_A_CALL = 8
+EXPECTED_A_CALL = 1
+MOVED_A_CALL = 4
 
 
 class StepReported(Protocol):

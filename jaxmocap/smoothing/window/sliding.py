@@ -51,7 +51,7 @@ DAMPING = 1e-3
 MOST_STEPS = 3
 LINEAR_M = 0.005
 # Events per call, so that they compile once.
-EVENTS_A_CALL = 8
+EVENTS_A_CALL = 4
 # A silhouette's quadratic holds while no landmark moves farther than this, metres: about half a
 # cell, over which its borders fade.
 NEAR_M = 0.012

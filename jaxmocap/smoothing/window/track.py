@@ -23,6 +23,8 @@ from jaxmocap.solvers.sdls import clamp_lengths, damped_step
 
 # Poses per call, so that they compile once.
 TRACK_A_CALL = 4
+# Samples farther apart are a gap, seconds.
+LONGEST_INTERVAL_S = 0.1
 # In place of the seconds to an event that is not there.
 ENDLESS_S = 1e6
 # Corrections that fade in move the markers' points by no more than this, metres.
@@ -43,6 +45,49 @@ class Sample(NamedTuple):
     number: int
     time: float
     markers_world: np.ndarray
+
+
+def markers_at(samples: Sequence[Sample], time: float) -> np.ndarray:
+    """(M, 3) metres between samples on a cubic, straight on for one interval beyond the last.
+
+    NaN where a neighbour is missing, or neighbours are farther apart than ``LONGEST_INTERVAL_S``.
+
+    Args:
+        samples: the newest, in order of time, at least one.
+        time: seconds.
+    """
+    after = sum(each.time <= time for each in samples)
+    start = min(after, len(samples) - 1) - 1
+    rows = np.clip(np.arange(start - 1, start + 3), 0, len(samples) - 1)
+    times = np.array([samples[row].time for row in rows])
+    points = np.stack([samples[row].markers_world for row in rows])
+    steps, spans = np.diff(points, axis=0), np.diff(times)
+    usable = (spans > 0) & (spans <= LONGEST_INTERVAL_S)
+    usable = usable[:, None, None] & np.isfinite(steps).all(-1, keepdims=True)
+    spans = np.where(usable, spans[:, None, None], ENDLESS_S)
+    share = (time - times[1]) / max(times[2] - times[1], 1 / ENDLESS_S)
+    if share > 1:
+        there = points[1] + share * steps[1]
+        return np.where(usable[1] & (share <= 2), there, np.nan)
+    first, way, last = np.where(usable, steps, 0.0)
+    there = points[1] + cubic_step(first, way, last, spans, share)
+    return np.where(usable[1], there, np.nan)
+
+
+def interpolate_markers(events: Sequence[WindowEvent], samples: Sequence[Sample]) -> None:
+    """Give events that are no samples, frames between them, the markers that lie there.
+
+    Args:
+        events: of the window; those of their own sample stay as they are.
+        samples: the newest, in order of time.
+    """
+    numbers = {sample.number for sample in samples}
+    if len(samples) < 2:
+        return
+    for event in events:
+        if event.number not in numbers:
+            there = markers_at(samples, event.time).astype(event.measured["markers"].dtype)
+            event.measured = {**event.measured, "markers": there}
 
 
 class TrackPose(NamedTuple):
