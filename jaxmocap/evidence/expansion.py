@@ -16,7 +16,7 @@ from jax import Array
 
 from jaxmocap.body.kinematics import curvature, forward, jacobian, site_positions
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, retract
+from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.terms import (
@@ -27,7 +27,7 @@ from jaxmocap.evidence.terms import (
     joined_residuals,
     posed_body,
 )
-from jaxmocap.geometry.rotations import HIGHEST, hat, quaternion_multiply, quaternion_to_matrix
+from jaxmocap.geometry.rotations import HIGHEST, hat, quaternion_multiply
 
 
 def expanded(
@@ -42,7 +42,8 @@ def expanded(
         measured: of this moment.
         bends: whether second derivatives are found; else that sum is 0.
     """
-    body, N = _body(model, pose), ROOT_DOF + pose.angles.size
+    body = posed_body(model, pose, forward(model.skeleton, pose))
+    N = ROOT_DOF + pose.angles.size
     each, bending = [], jnp.zeros((N, N), pose.angles.dtype)
     for term in terms:
         r, J = term.residual(model, body, measured), term.jacobian(model, body, measured)
@@ -58,15 +59,21 @@ def expanded(
         def of_body(body: PosedBody) -> Array:
             return joined_residuals(others, model, body, measured)
 
-        r, push = jax.linearize(of_body, bare)
-        rows = jax.vmap(push, out_axes=-1)(derivatives.each)
-        left = iter(jnp.split(rows, np.cumsum([r.size for r, J in each if J is None])[:-1]))
-        each = [(r, next(left) if J is None else J) for r, J in each]
+        def with_slope(body: PosedBody) -> tuple[Array, PosedBody]:
+            r, pull = jax.vjp(of_body, body)
+            return r, pull(jax.lax.stop_gradient(r))[0]
+
         if bends:
-            slope, bend = jax.linearize(jax.grad(lambda body: jnp.vdot(of_body(body), r)), bare)
-            S = derivatives.times(jax.vmap(bend)(derivatives.each))
-            S = S + derivatives.bending(model, body, slope)
+            # Both at one go: what the first derivative needs is a part of the second.
+            (r, slope), push = jax.linearize(with_slope, bare)
+            rows, bent = jax.vmap(push)(derivatives.each)
+            S = derivatives.times(bent) + derivatives.bending(model, body, slope)
             bending = bending + (S + S.T) / 2
+        else:
+            r, push = jax.linearize(of_body, bare)
+            rows = jax.vmap(push)(derivatives.each)
+        left = iter(jnp.split(rows.T, np.cumsum([r.size for r, J in each if J is None])[:-1]))
+        each = [(r, next(left) if J is None else J) for r, J in each]
     r, J = (jnp.concatenate(parts) for parts in zip(*each, strict=True))
     return r, J, bending
 
@@ -75,7 +82,8 @@ def residuals_and_pull(
     terms: Sequence[Term], model: Model, pose: Pose, measured: Measurements, weights: Array
 ) -> tuple[Array, Array]:
     """All residuals (R,), and the derivative (6 + D,) of the residuals times weights (R,)."""
-    body, N = _body(model, pose), ROOT_DOF + pose.angles.size
+    body = posed_body(model, pose)._replace(frames=forward(model.skeleton, pose))
+    N = ROOT_DOF + pose.angles.size
     each = [term.residual(model, body, measured).ravel() for term in terms]
     own = jnp.split(weights, np.cumsum([r.size for r in each])[:-1])
     total, others = jnp.zeros(N, weights.dtype), []
@@ -94,10 +102,6 @@ def residuals_and_pull(
         slope = jax.grad(weighed)(body._replace(frames=None))
         total = total + _Derivatives.of(model, body).pull(slope)
     return jnp.concatenate(each), total
-
-
-def _body(model: Model, pose: Pose) -> PosedBody:
-    return posed_body(model, pose)._replace(frames=forward(model.skeleton, pose))
 
 
 class _Derivatives(NamedTuple):
@@ -152,11 +156,8 @@ class _Derivatives(NamedTuple):
         bones = body_sites(model).bones
         S = curvature(model.skeleton, body.frames, bones, self.points_world, forces)
 
-        def turned(turn: Array) -> Array:
-            step = jnp.zeros(len(S), turn.dtype).at[3:ROOT_DOF].set(turn)
-            q = retract(body.pose, step).quaternion
-            pelvis = jnp.vdot(slope.R_world_pelvis, quaternion_to_matrix(q))
-            return pelvis + jnp.vdot(slope.pose.quaternion, q)
-
-        own = jax.hessian(turned)(jnp.zeros(3, S.dtype))
+        # A turn w of the pelvis: R -> exp(hat(w)) R, and q -> exp(w / 2) q.
+        M = jnp.matmul(body.R_world_pelvis, slope.R_world_pelvis.T, precision=HIGHEST)
+        even = jnp.trace(M) + jnp.vdot(slope.pose.quaternion, body.pose.quaternion) / 4
+        own = (M + M.T) / 2 - even * jnp.eye(3, dtype=S.dtype)
         return S.at[3:ROOT_DOF, 3:ROOT_DOF].add(own)

@@ -84,7 +84,10 @@ class PointGoals(Term):
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(M, 3) of the goals' M points."""
         goals = measured["goals"]
-        points = points_on(model.skeleton, body.pose, goals.sites)
+        if body.frames is None:
+            points = points_on(model.skeleton, body.pose, goals.sites)
+        else:
+            points = site_positions(model.skeleton, body.frames, goals.sites)
         return goals.weights[:, None] * goals.off(points) / self.deviation
 
     def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:

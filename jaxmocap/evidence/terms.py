@@ -22,6 +22,7 @@ from jaxmocap.body.kinematics import (
     joined_sites,
     landmark_sites,
     points_on,
+    site_positions,
 )
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
@@ -177,14 +178,25 @@ def linearised_term(
     return r, jax.vmap(push, -1, -1)(jnp.eye(still.size, dtype=still.dtype))
 
 
-def posed_body(model: Model, pose: Pose) -> PosedBody:
-    """The body as a pose puts it; its derivative by the pose is the geometric Jacobian."""
+def posed_body(model: Model, pose: Pose, frames: Frames | None = None) -> PosedBody:
+    """The body as a pose puts it; its derivative by the pose is the geometric Jacobian.
+
+    Args:
+        model: of the person, the markers and the cameras.
+        pose: of the person.
+        frames: of its bones, where somebody has them and asks for no derivative by the pose.
+    """
     skeleton, markers = model.skeleton, len(model.markers.bone_indices)
-    points = points_on(skeleton, pose, body_sites(model))
+    sites = body_sites(model)
+    if frames is None:
+        points = points_on(skeleton, pose, sites)
+    else:
+        points = site_positions(skeleton, frames, sites)
     on_markers, landmarks, in_bones = jnp.split(points, [markers, markers + len(LANDMARKS)])
     shares = skeleton.masses / jnp.sum(skeleton.masses)
     gravity = jnp.matmul(shares, in_bones, precision=HIGHEST)
-    return PosedBody(on_markers, landmarks, quaternion_to_matrix(pose.quaternion), gravity, pose)
+    R_world_pelvis = quaternion_to_matrix(pose.quaternion)
+    return PosedBody(on_markers, landmarks, R_world_pelvis, gravity, pose, frames)
 
 
 def body_sites(model: Model) -> Sites:

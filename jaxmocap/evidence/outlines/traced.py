@@ -27,7 +27,6 @@ from jaxmocap.geometry.outlines import (
     Discs,
     Pieces,
     depth_along,
-    joined,
     outline_pieces,
     project_limb,
     touch,
@@ -64,17 +63,14 @@ class TracedOutline(NamedTuple):
 
 
 class _Samples(NamedTuple):
-    """Sides or arcs of limbs (3, ...), samples over the distance fields: (2, K, 3, ...) each."""
+    """Sides, arcs or both of limbs (3, ...), samples over the fields: (2, K, 3, ...) each."""
 
-    points: Pieces  # on the plane z = 1
     distances_px: Array
     weights: Array  # 0 outside the image
 
 
-def _sampled(
-    camera: Camera, region: Region, fields: Array, limbs: Cones, smoothly: bool = False
-) -> tuple[tuple[_Samples, _Samples], Array]:
-    """Sides and arcs of limbs (..., 3), sampled in the fields; metres per pixel (3, ...) there."""
+def _pieces(camera: Camera, limbs: Cones) -> tuple[tuple[Pieces, Pieces], Array, Array]:
+    """Sides and arcs of limbs (..., 3), the limbs' shares (3, ...), metres per pixel (3, ...)."""
     batch = limbs.near.ndim - 2
     ends = jnp.moveaxis(jnp.stack([limbs.near, limbs.far]), (-1, -2), (0, 2))
     x, y, depths = camera_components(camera, *ends)
@@ -86,10 +82,7 @@ def _sampled(
     pieces = outline_pieces(x * near, y * near, radii, POINTS_PER_SIDE, POINTS_PER_ARC, free)
     front = jnp.minimum(depths[0], depths[1]) > 0
     shares = jnp.where(front, jnp.asarray(LIMB_WEIGHTS, x.dtype).reshape(by_limb), 0.0)
-    sides, arcs = (
-        _points_in_fields(camera, region, fields, piece, shares, smoothly) for piece in pieces
-    )
-    return (sides, arcs), 1 / pixels_per_metre(camera, (depths[0] + depths[1]) / 2)
+    return pieces, shares, 1 / pixels_per_metre(camera, (depths[0] + depths[1]) / 2)
 
 
 def _points_in_fields(
@@ -110,7 +103,7 @@ def _points_in_fields(
         distances_px = look_up(fields, channels, *samples) * region.scale
     right, bottom = camera.size[0] - 1 - BORDER_PX, camera.size[1] - 1 - BORDER_PX
     inside = (x >= BORDER_PX) & (x <= right) & (y >= BORDER_PX) & (y <= bottom)
-    return _Samples(points, distances_px, jnp.where(inside, points.weights * shares, 0.0))
+    return _Samples(distances_px, jnp.where(inside, points.weights * shares, 0.0))
 
 
 def trace_outline(camera: Camera, region: Region, fields: Array, limbs: Cones) -> TracedOutline:
@@ -122,18 +115,20 @@ def trace_outline(camera: Camera, region: Region, fields: Array, limbs: Cones) -
         fields: (K, S, S) distances, samples of the region.
         limbs: three cones, world, metres.
     """
-    samples, metres_per_px = _sampled(camera, region, fields, limbs, smoothly=True)
-
-    def rows(parts: list[Array]) -> Array:
-        return jnp.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts]).T
-
-    sides, arcs = samples
-    return TracedOutline(
-        joined((sides.points, arcs.points)).points,
-        rows([part.distances_px for part in samples]),
-        metres_per_px[:, None],
-        rows([part.weights for part in samples]),
+    pieces, shares, metres_per_px = _pieces(camera, limbs)
+    # Sides and arcs at one go: what is differentiated is half as long.
+    points = jax.tree.map(lambda *parts: jnp.concatenate(parts, 1), *map(_even, pieces))
+    samples = _points_in_fields(camera, region, fields, points, shares, smoothly=True)
+    x, y, distances_px, weights = (
+        part.reshape(-1, part.shape[-1]).T
+        for part in (points.x, points.y, samples.distances_px, samples.weights)
     )
+    return TracedOutline(jnp.stack([x, y], -1), distances_px, metres_per_px[:, None], weights)
+
+
+def _even(pieces: Pieces) -> Pieces:
+    """The same, each of its parts with a number for each point."""
+    return Pieces(*(jnp.broadcast_to(part, pieces.x.shape) for part in pieces))
 
 
 def outline_distance(
@@ -152,7 +147,8 @@ def outline_distance(
         The mean (...) in metres at the limbs' depth, and the same in pixels; ``truncation`` where
         nothing of the arm is within the image.
     """
-    samples, metres_per_px = _sampled(camera, region, fields, limbs)
+    pieces, shares, metres_per_px = _pieces(camera, limbs)
+    samples = [_points_in_fields(camera, region, fields, each, shares, False) for each in pieces]
     total, metres, pixels = (
         sum(
             jnp.sum(part.weights * values, (0, 1, 2))
