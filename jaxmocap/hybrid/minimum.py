@@ -98,11 +98,13 @@ class _Evidence(NamedTuple):
     free: Array | None
 
 
+@partial(jax.jit, inline=True)
 def _residuals(evidence: _Evidence, pose: Pose) -> Array:
     model, terms, measured, _ = evidence
     return residuals(terms, model, pose, measured)
 
 
+@partial(jax.jit, inline=True)
 def _local(evidence: _Evidence, pose: Pose) -> Local:
     model, terms, measured, _ = evidence
     return Local(*expanded(terms, model, pose, measured))
@@ -117,6 +119,7 @@ def _room(evidence: _Evidence, pose: Pose) -> tuple[Array, Array]:
     return jnp.where(free, low, 0.0), jnp.where(free, high, 0.0)
 
 
+@partial(jax.jit, inline=True)
 def _straight(evidence: _Evidence, pose: Pose) -> Local:
     model, terms, measured, _ = evidence
     return Local(*expanded(terms, model, pose, measured, bends=False))
