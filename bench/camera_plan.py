@@ -34,14 +34,13 @@ from jaxmocap.pipelines.planning.subject import drawn_subject, movement_of, sett
 from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.synthetic.drawing_camera import look_at
 from jaxmocap.synthetic.people.clothed_person import clothed_actor
-from jaxmocap.synthetic.placement import RotatedMover
 from jaxmocap.synthetic.recording import (
     VIDEO_RATE,
     recording_parts,
     video_times,
     write_parts,
 )
-from jaxmocap.synthetic.renderer import Scene, render_frames
+from jaxmocap.synthetic.renderer import RotatedMover, Scene, render_frames
 
 MOVEMENTS = ("tennis", "across", "raises")
 SECONDS, HEIGHT_M = 4.0, 1.75

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from jaxmocap.synthetic.movements.exerciser import Exerciser
-from jaxmocap.synthetic.movements.stances import KeyStance
+from jaxmocap.synthetic.movements.splines import KeyStance
 from jaxmocap.synthetic.people.rigged_mesh import unit
 
 # First channel and number of channels of each joint, which one error rotates.

@@ -17,7 +17,7 @@ from bench.clips import Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, write_json
 from bench.silhouette import prepared
-from jaxmocap.body.surfaces.host_skin import bones_over_time, nodes_over_time
+from jaxmocap.body.surfaces.surface import bones_over_time, nodes_over_time
 from jaxmocap.evaluation.series import match
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled

@@ -28,7 +28,7 @@ from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.keypoints.by_mediapipe import mediapipe_detector
 from jaxmocap.pipelines.keypoints.detect import detect_keypoints
-from jaxmocap.pipelines.silhouettes.lost_person import LOST
+from jaxmocap.pipelines.silhouettes.keypoints import LOST
 from jaxmocap.pipelines.silhouettes.track import track_silhouettes
 
 # Our landmark -> number of MediaPipe's.

@@ -30,7 +30,6 @@ from bench.stages import STAGES, WHOLE_FRAME, stages_timed
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
-from jaxmocap.body.surfaces.parts import determined_landmarks
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.cli.silhouette.track import add_settings, settings_of
 from jaxmocap.evaluation.errors import Errors, position_errors
@@ -44,6 +43,7 @@ from jaxmocap.pipelines.silhouettes.first_pose import start_pose
 from jaxmocap.pipelines.silhouettes.track import track_silhouettes
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
+from jaxmocap.silhouette.surfaces.body_shape import determined_landmarks
 from jaxmocap.synthetic.four_cameras import HINGES, flexion_angles, write_four_cameras
 from jaxmocap.synthetic.movements.exercises import EXERCISES
 

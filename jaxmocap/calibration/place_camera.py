@@ -33,7 +33,7 @@ from jaxmocap.formats.cameras.calibration import (
 )
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP
-from jaxmocap.formats.time_series.points import read_points
+from jaxmocap.formats.time_series.markers import read_points
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,8 @@ from typing import Any, NoReturn
 
 from jaxmocap import __version__
 from jaxmocap.cli import INTERRUPTED, calibrate, silhouette, topics
-from jaxmocap.cli.command import Command
+from jaxmocap.cli.command import Command, check_report
 from jaxmocap.cli.completion import add_completion
-from jaxmocap.cli.reporting import check_report
 from jaxmocap.cli.results import convert, evaluate, retarget, view
 from jaxmocap.cli.setup import check, keypoints, offsets, plan, scale, sync
 from jaxmocap.cli.tracking import batch, demo, live, track, video, warmup

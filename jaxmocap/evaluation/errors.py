@@ -12,8 +12,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from jaxmocap.evaluation.series import high_pass, match, second_difference
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list
+from jaxmocap.formats.files.errors import InputError, comma_list
 from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.formats.time_series.markers import default_up, read_markers
 from jaxmocap.formats.time_series.tables import Markers

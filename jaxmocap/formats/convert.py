@@ -35,8 +35,7 @@ from jaxmocap.formats.conversion.resampling import (
     resampled_markers,
     resampled_motion,
 )
-from jaxmocap.formats.files.errors import FileError, InputError
-from jaxmocap.formats.files.short_repr import comma_list
+from jaxmocap.formats.files.errors import FileError, InputError, comma_list
 from jaxmocap.formats.motion_npz import load_motion, save_motion
 from jaxmocap.formats.opensim.coordinates import OPENSIM, write_opensim
 from jaxmocap.formats.time_series.axes import Y_UP, from_world

@@ -20,9 +20,8 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton, joint_columns, load_skel
 from jaxmocap.body.tree import ROOT_DOF, Tree
 from jaxmocap.compilation.arrays import on_device
 from jaxmocap.formats.files.arrays import INTEGERS, NAMES, TEXT, ArraySpec, NpzArrays
-from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.json_text import parse_json
-from jaxmocap.formats.files.short_repr import comma_list, short_repr
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import check_times
 

@@ -19,7 +19,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.errors import short_repr
 from jaxmocap.formats.files.toml import TomlTable, read_toml, toml_value
 
 T = TypeVar("T")

@@ -19,8 +19,7 @@ from jaxmocap.images.background_model import (
     regained,
     spread,
 )
-from jaxmocap.images.colours import Colours, colour_bins, learn_colours
-from jaxmocap.images.shadows import lit_or_shaded_density
+from jaxmocap.images.colours import Colours, colour_bins, learn_colours, lit_or_shaded_density
 
 # Rows and columns of an image.
 Window = tuple[slice, slice]

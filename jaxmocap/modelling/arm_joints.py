@@ -16,8 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxmocap.modelling.arm_surface import ArmBones
 from jaxmocap.modelling.pictures.medial_axis import MedialAxis, path
-from jaxmocap.modelling.pictures.views import PhotographView
-from jaxmocap.modelling.readings import Reading
+from jaxmocap.modelling.pictures.views import PhotographView, Reading
 from jaxmocap.modelling.separation import FrontLandmarks, trunk_run
 
 # Deviation of the blur over an axis, pixels.

@@ -21,8 +21,7 @@ from jaxmocap.modelling.arm_surface import (
     without_elbow_fold,
 )
 from jaxmocap.modelling.pictures.medial_axis import medial_axis, rim_distance
-from jaxmocap.modelling.pictures.views import PhotographView
-from jaxmocap.modelling.readings import OWN, Reading
+from jaxmocap.modelling.pictures.views import OWN, PhotographView, Reading
 from jaxmocap.modelling.separation import FrontLandmarks, find_landmarks, narrowest_neck
 from jaxmocap.modelling.thighs import Thighs, find_thighs
 from jaxmocap.modelling.trunk import Trunk, find_trunk

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from jaxmocap.modelling.pictures.views import PhotographView
-from jaxmocap.modelling.readings import Reading, slice_ring
+from jaxmocap.modelling.pictures.views import PhotographView, Reading, slice_ring
 from jaxmocap.modelling.separation import FrontLandmarks
 
 # Rings of trunk, neck and head.

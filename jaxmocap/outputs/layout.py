@@ -9,8 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from jaxmocap.outputs.floor import Floor
-from jaxmocap.outputs.scene import BodyScene
+from jaxmocap.outputs.scene import BodyScene, Floor
 
 TIMELINE = "time"
 # Root entities of time series that several recorders log.

@@ -17,9 +17,8 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.pieces import body_pieces
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.outputs import camera_recorder, layout, recorder, series_recorder
-from jaxmocap.outputs.floor import floor_of
-from jaxmocap.outputs.scene import BodyScene, make_scene
+from jaxmocap.outputs import camera_recorder, layout, recorder
+from jaxmocap.outputs.scene import BodyScene, floor_of, make_scene
 
 # Seconds between snapshots that are sent.
 INTERVAL_S = 1 / 25
@@ -75,11 +74,11 @@ class LiveView:
         self._stream.send_blueprint(layout.lay_out(fields, standing, floor, SERIES, live=True))
         recorder.log_pieces(self._stream, skeleton.tree, pieces, floor)
         recorder.log_moment(self._stream, standing)
-        self._joints = series_recorder.shown_joints(skeleton.tree)
-        lines = {layout.ANGLES: self._joints, layout.DEVIATIONS: series_recorder.SIDES}
+        self._joints = recorder.shown_joints(skeleton.tree)
+        lines = {layout.ANGLES: self._joints, layout.DEVIATIONS: recorder.SIDES}
         for root, names in (lines | {"milliseconds": (LATENCY,)}).items():
             for i, name in enumerate(names):
-                series_recorder.log_line(self._stream, root, name, i)
+                recorder.log_line(self._stream, root, name, i)
         for name, camera in cameras.items():
             camera_recorder.log_camera(self._stream, name, camera)
         self._lock, self._stop, self._newest = Lock(), Event(), None
@@ -125,7 +124,7 @@ class LiveView:
         angles = np.degrees(np.asarray(snapshot.pose.angles, float))
         deviations = 100 * np.asarray(snapshot.deviations, float)
         joints = {name: float(angles[i]) for name, i in self._joints.items()}
-        elbows = {s: float(d) for s, d in zip(series_recorder.SIDES, deviations, strict=True)}
-        series_recorder.log_values(self._stream, layout.ANGLES, joints)
-        series_recorder.log_values(self._stream, layout.DEVIATIONS, elbows)
-        series_recorder.log_values(self._stream, "milliseconds", {LATENCY: snapshot.latency_ms})
+        elbows = {s: float(d) for s, d in zip(recorder.SIDES, deviations, strict=True)}
+        recorder.log_values(self._stream, layout.ANGLES, joints)
+        recorder.log_values(self._stream, layout.DEVIATIONS, elbows)
+        recorder.log_values(self._stream, "milliseconds", {LATENCY: snapshot.latency_ms})

@@ -1,9 +1,13 @@
-"""The body over time, for drawing: limbs in the world, outlines in an image.
+"""The body over time, for drawing: limbs in the world, outlines in an image, the floor below.
 
 INPUTS: a Motion, a Camera. OUTPUTS: NumPy arrays, world (metres) or pixels (x, y).
+
+The floor lies at the body's lowest points: marker systems place the world's origin anywhere.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +31,7 @@ from jaxmocap.geometry.cameras import (
     to_pixels,
 )
 from jaxmocap.geometry.outlines import outline, project_limb
+from jaxmocap.geometry.solids import Solid
 
 # Points on each straight side of an outline: smooth at 500 pixels.
 POINTS_ALONG = 8
@@ -133,3 +138,44 @@ def _outlines(camera: Camera, near: Array, far: Array, radii: Array) -> Array:
     closed = jnp.concatenate([*loop, left[..., :1, :]], -2)
     ahead = jnp.minimum(near_cam[..., 2], far_cam[..., 2]) - jnp.max(radii, -1) > NEAREST_M
     return jnp.where(ahead[..., None, None], to_pixels(camera, closed), jnp.nan)
+
+
+# The lowest points of a recording: this percentile of the samples', so that one bad pose of many
+# does not sink the floor.
+LOWEST_PERCENT = 5.0
+# Samples at most that are looked at.
+MOST_SAMPLES = 200
+# Around where the body goes, and half the side at most, metres.
+MARGIN_M, LARGEST_M = 1.5, 25.0
+
+
+class Floor(NamedTuple):
+    """A level square.
+
+    Attributes:
+        height_m: along the world's z.
+        centre_xy: (2,) of it.
+        half_size_m: half its side.
+    """
+
+    height_m: float
+    centre_xy: np.ndarray
+    half_size_m: float
+
+
+def floor_of(scene: BodyScene, pieces: Mapping[str, Solid]) -> Floor | None:
+    """The floor on which a body stands; None where no pose is known."""
+    is_known = np.isfinite(scene.near).all((1, 2))
+    if not is_known.any():
+        return None
+    known = np.flatnonzero(is_known)
+    some = known[:: -(-len(known) // MOST_SAMPLES)]
+    lowest = np.full(len(some), np.inf)
+    for bone, solid in pieces.items():
+        i = scene.tree.bone(bone)
+        heights = scene.R_world_bone[some, i, 2] @ solid.vertices.T
+        lowest = np.minimum(lowest, scene.near[some, i, 2] + heights.min(1))
+    places = scene.near[known][..., :2].reshape(-1, 2)
+    low, high = places.min(0), places.max(0)
+    half = min(float((high - low).max()) / 2 + MARGIN_M, LARGEST_M)
+    return Floor(float(np.percentile(lowest, LOWEST_PERCENT)), (low + high) / 2, half)

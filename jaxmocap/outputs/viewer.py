@@ -18,8 +18,7 @@ from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.outputs.ellipses import Uncertainty, uncertainty_of
-from jaxmocap.outputs.floor import floor_of
-from jaxmocap.outputs.scene import BodyScene, make_scene
+from jaxmocap.outputs.scene import BodyScene, floor_of, make_scene
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
@@ -76,7 +75,7 @@ def write_rerun(
     Raises:
         OutputError: the disk is full; what was there before is as it was.
     """
-    from jaxmocap.outputs import layout, recorder, series_recorder, viewer_skin
+    from jaxmocap.outputs import layout, recorder, viewer_skin
 
     footage, step = dict(footage or {}), shown_every(motion)
     motion = every_nth(motion, step)
@@ -99,9 +98,9 @@ def write_rerun(
                 recorder.log_deviations(stream, uncertainty.part(rows))
         if surface is not None:
             viewer_skin.log_skin(stream, motion, surface, picture)
-        series_recorder.log_angles(stream, motion)
+        recorder.log_angles(stream, motion)
         if motion.report is not None:
-            series_recorder.log_report(stream, scene.times, motion.report)
+            recorder.log_report(stream, scene.times, motion.report)
         for name, shot in footage.items():
             _log_footage(stream, name, shot, scene, uncertainty, targets, jpeg_quality)
 

@@ -13,8 +13,8 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.orientations import quaternions
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.body.surfaces.parts import determined_landmarks
 from jaxmocap.compilation.programs import Program, program
+from jaxmocap.silhouette.surfaces.body_shape import determined_landmarks
 
 # Deviation of a landmark, metres.
 LANDMARK_DEVIATION_M = 0.02

@@ -20,7 +20,7 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.recovery.withdrawal import slim
+from jaxmocap.silhouette.recovery.relocation import slim
 from jaxmocap.silhouette.segmentation.background_models import BackgroundLearner, OnlineBackground
 from jaxmocap.silhouette.smoothing import FrameInformation, smoothed_poses
 from jaxmocap.silhouette.state import PoseEstimate, State, StepReport, TrackedBody, TrackerConstants

@@ -29,25 +29,29 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface
-from jaxmocap.body.surfaces.parts import surface_of_body
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.cameras import Camera, stack_cameras
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.device_functions import predicted_pose, velocity_between
-from jaxmocap.silhouette.fit.camera_agreement import kept_histograms
 from jaxmocap.silhouette.fit.cycles import (
     FrameEvidence,
     fit_pose,
     information_without,
+    kept_histograms,
     term_evidence,
 )
 from jaxmocap.silhouette.pose import standard_deviations
 from jaxmocap.silhouette.recovery.limbs import carriers
 from jaxmocap.silhouette.recovery.lost_limbs import LimbRecovery
-from jaxmocap.silhouette.recovery.relocation import RecoveredPose, recover_limbs
-from jaxmocap.silhouette.recovery.withdrawal import remembered, slim, withdrawn
+from jaxmocap.silhouette.recovery.relocation import (
+    RecoveredPose,
+    recover_limbs,
+    remembered,
+    slim,
+    withdrawn,
+)
 from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
 from jaxmocap.silhouette.segmentation.segment import Histograms
 from jaxmocap.silhouette.settings import Settings
@@ -59,7 +63,7 @@ from jaxmocap.silhouette.state import (
     TrackedBody,
     TrackerConstants,
 )
-from jaxmocap.silhouette.surfaces.body_shape import BodyShape
+from jaxmocap.silhouette.surfaces.body_shape import BodyShape, surface_of_body
 from jaxmocap.silhouette.surfaces.rim import RimFinder
 
 # Shortest time between two frames that a velocity is taken over, seconds.

@@ -25,9 +25,15 @@ from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
-from jaxmocap.synthetic.placement import RotatedMover
 from jaxmocap.synthetic.recording import VIDEO_RATE, write_video
-from jaxmocap.synthetic.renderer import Mover, Progress, Scene, render_frames, silhouette
+from jaxmocap.synthetic.renderer import (
+    Mover,
+    Progress,
+    RotatedMover,
+    Scene,
+    render_frames,
+    silhouette,
+)
 
 # Hinge -> the landmarks on either side of it.
 HINGES = {

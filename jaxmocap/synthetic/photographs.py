@@ -20,11 +20,9 @@ from jaxmocap.formats.files.writing import write_bytes
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
 from jaxmocap.synthetic.movements.exerciser import Exerciser
-from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.movements.stances import KeyStance
+from jaxmocap.synthetic.movements.splines import KeyStance, Spline
 from jaxmocap.synthetic.people.rigged_mesh import Rig
-from jaxmocap.synthetic.placement import RotatedMover
-from jaxmocap.synthetic.renderer import Scene, Sensor, exposure
+from jaxmocap.synthetic.renderer import RotatedMover, Scene, Sensor, exposure
 
 _LEG = (0.0, 7.0, -4.0, 0.0, 0.0)
 # Arms of the stances, as in ``KeyStance``, degrees.

@@ -24,8 +24,7 @@ from jaxmocap.synthetic.drawing_camera import look_at
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.motions import Performance
 from jaxmocap.synthetic.people.clothed_person import MARKERS, clothed_actor
-from jaxmocap.synthetic.placement import RotatedMover, camera_at
-from jaxmocap.synthetic.renderer import Progress, Scene, render_frames
+from jaxmocap.synthetic.renderer import Progress, RotatedMover, Scene, camera_at, render_frames
 
 # Samples a second of the markers.
 MARKER_RATE = 90

@@ -2,7 +2,8 @@
 
 Everything a real camera does to an arm's outline is here but compression, which the video adds:
 occlusion, shading, a soft shadow on floor and wall, motion blur, lens distortion, vignetting,
-shot and read noise.
+shot and read noise. The camera stands at any azimuth about the person; the room turns with it, and
+lies behind the person as cluttered from every side.
 
 INPUTS: a camera, something that moves, times. OUTPUTS: frames, BGR uint8.
 """
@@ -15,7 +16,7 @@ import cv2
 import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.drawing_camera import DrawingCamera
+from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
 from jaxmocap.synthetic.people.meshes import QuadMesh
 from jaxmocap.synthetic.room import FRACTION_BITS, OVERSAMPLING, WALL_X, Room, to_fixed
 
@@ -247,3 +248,46 @@ class Sensor:
             cv2.LUT(image, self.deviations) * self.grain[top : top + height, left : left + width]
         )
         return cv2.add(cv2.multiply(image, self.falloff, dtype=cv2.CV_32F), noise, dtype=cv2.CV_8U)
+
+
+# From the person, metres: far enough for the whole of them, from shoes to a raised hand.
+DISTANCE_M = 3.6
+# Of the camera, metres.
+HEIGHT_M = 1.30
+# Of the point that it looks at, metres.
+TARGET_HEIGHT_M = 1.0
+
+
+def camera_at(azimuth: float) -> Camera:
+    """A camera that looks at a person at the world's origin, who faces +x."""
+    turn = np.deg2rad(azimuth)
+    position = (DISTANCE_M * np.cos(turn), DISTANCE_M * np.sin(turn), HEIGHT_M)
+    return look_at(position, (0.0, 0.0, TARGET_HEIGHT_M))
+
+
+@dataclass(frozen=True)
+class RotatedMover:
+    """A mover rotated about the world's vertical, before a camera that stays in place.
+
+    Attributes:
+        mover: who moves.
+        azimuth: of the camera about the mover, degrees.
+    """
+
+    mover: Mover
+    azimuth: float
+
+    @property
+    def mesh(self) -> QuadMesh:
+        """At rest."""
+        return self.mover.mesh
+
+    def vertices(self, times: np.ndarray) -> np.ndarray:
+        """(T, V, 3) metres; the camera at azimuth 0 sees them as the rotated one sees the mover."""
+        return self.mover.vertices(times) @ self.turn.T
+
+    @property
+    def turn(self) -> np.ndarray:
+        """(3, 3) from the world to the room before the camera at azimuth 0."""
+        cosine, sine = np.cos(np.deg2rad(self.azimuth)), np.sin(np.deg2rad(self.azimuth))
+        return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])

@@ -6,7 +6,6 @@ import pytest
 from jaxmocap.body.model_files import bodies
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
-from jaxmocap.body.surfaces.parts import determined_landmarks, moved_bones, surface_of_body
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.cli.silhouette.track import BODIES
 from jaxmocap.silhouette.first_pose import (
@@ -15,6 +14,11 @@ from jaxmocap.silhouette.first_pose import (
     standing_pose_at,
 )
 from jaxmocap.silhouette.recovery.limbs import limb_chains
+from jaxmocap.silhouette.surfaces.body_shape import (
+    determined_landmarks,
+    moved_bones,
+    surface_of_body,
+)
 
 HUMAN = Skeleton.human(1.75)
 SURFACE = generic_surface(HUMAN)

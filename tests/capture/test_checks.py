@@ -30,8 +30,8 @@ from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.people.clothed_person import MARKERS
-from jaxmocap.synthetic.placement import camera_at
 from jaxmocap.synthetic.recording import marker_noise
+from jaxmocap.synthetic.renderer import camera_at
 
 PLACES = tuple(MarkerPlace(name, *on) for name, on in MARKERS.items())
 FIVE = tuple(MarkerPlace(name, bone) for name, bone in BODY_MARKERS.items())

@@ -10,9 +10,8 @@ import pytest
 
 import jaxmocap
 from jaxmocap.compilation.programs import Program
-from jaxmocap.formats.private_cache import PrivateCache
 from jaxmocap.pipelines import kept_programs
-from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.kept_programs import PrivateCache, keep_compiled
 from jaxmocap.pipelines.warmup import CompilationCounts, counting_compilations
 
 NUMBERS = np.arange(7, dtype=np.float32)

@@ -13,8 +13,7 @@ from jax import Array
 from jaxmocap.compilation import programs
 from jaxmocap.compilation.programs import Program, keep_in
 from jaxmocap.compilation.structures import from_json, to_json
-from jaxmocap.formats.private_cache import PrivateCache
-from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.kept_programs import PrivateCache, keep_compiled
 
 
 class Turned(NamedTuple):

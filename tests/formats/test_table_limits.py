@@ -6,7 +6,7 @@ from conftest import problem_of
 
 from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.lines import MAX_LINE_CHARACTERS, numbered_lines
+from jaxmocap.formats.files.reading import MAX_LINE_CHARACTERS, numbered_lines
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.mot import read_mot
 from jaxmocap.formats.time_series.tables import parse_rows, row_texts

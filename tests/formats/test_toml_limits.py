@@ -9,8 +9,7 @@ from small_recording import write_small_recording
 
 from jaxmocap.formats.cameras.calibration import check_camera_writable, read_calibration
 from jaxmocap.formats.cameras.toml_sections import replace_entries
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list, short_repr
+from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable, file_name_problem, parse_toml, read_toml
 from jaxmocap.formats.recordings.recording import load_recording
 

@@ -15,10 +15,9 @@ from jaxmocap.geometry.cameras import project
 from jaxmocap.modelling.arm_joints import evenly_spaced, turning_angles
 from jaxmocap.modelling.arm_surface import INNER_RINGS, SLICES
 from jaxmocap.modelling.person import StanceError, person_model
-from jaxmocap.modelling.pictures.closed_mesh import closed_mesh, joined_meshes, volume
+from jaxmocap.modelling.pictures.drawing import closed_mesh, joined_meshes, volume
 from jaxmocap.modelling.pictures.medial_axis import medial_axis, path, rim_distance
-from jaxmocap.modelling.pictures.views import PhotographView
-from jaxmocap.modelling.readings import PAPER, spline_ring, superellipse_ring
+from jaxmocap.modelling.pictures.views import PAPER, PhotographView, spline_ring, superellipse_ring
 from jaxmocap.modelling.separation import find_landmarks
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import (

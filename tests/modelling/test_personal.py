@@ -23,12 +23,11 @@ from jaxmocap.modelling.arm_surface import (
     slice_stations,
     without_elbow_fold,
 )
-from jaxmocap.modelling.fitted_rings import fitted_grid
 from jaxmocap.modelling.person import PersonModel, arm_on_axis
 from jaxmocap.modelling.personal import arm_angles, personal_model
 from jaxmocap.modelling.pictures.views import PhotographView
 from jaxmocap.modelling.separation import FrontLandmarks
-from jaxmocap.modelling.slices import BodySlices
+from jaxmocap.modelling.slices import BodySlices, fitted_grid
 from jaxmocap.modelling.thighs import Thighs, find_thighs
 from jaxmocap.modelling.trunk import RINGS, Trunk
 from jaxmocap.pipelines.silhouettes.person import with_model

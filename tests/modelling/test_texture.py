@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surfaces.host_skin import bones_over_time, nodes_over_time
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.mesh import atlas_of, mesh_of
-from jaxmocap.body.surfaces.surface import rest_nodes
+from jaxmocap.body.surfaces.surface import bones_over_time, nodes_over_time, rest_nodes
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.modelling.pictures.medial_axis import rim_distance
@@ -24,8 +23,13 @@ from jaxmocap.modelling.texture.fusion import (
     weighted_blur,
     wide_blend,
 )
-from jaxmocap.modelling.texture.splats import NONE, nearest_points, splatted, visible_points
-from jaxmocap.modelling.texture.texels import texels_of
+from jaxmocap.modelling.texture.texels import (
+    NONE,
+    nearest_points,
+    splatted,
+    texels_of,
+    visible_points,
+)
 
 TEXEL = 0.008
 BACKDROP = np.array([90, 200, 60], np.uint8)

@@ -23,11 +23,10 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.solids import limb_solid
 from jaxmocap.outputs import viewer
 from jaxmocap.outputs.ellipses import SIGMAS, ellipses_in, landmark_ellipses, uncertainty_of
-from jaxmocap.outputs.floor import floor_of
 from jaxmocap.outputs.layout import lay_out
 from jaxmocap.outputs.overlay import JOINT_COLOUR, OUTLINE_COLOURS, OverlayArtist, write_overlay
 from jaxmocap.outputs.report import write_report
-from jaxmocap.outputs.scene import limb_outlines, make_scene, pixels
+from jaxmocap.outputs.scene import floor_of, limb_outlines, make_scene, pixels
 from jaxmocap.outputs.viewer import Footage, write_rerun
 
 SAMPLES, RATE, START = 40, 90.0, 12.5

@@ -18,10 +18,9 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.surfaces.cones import with_thickness
-from jaxmocap.body.surfaces.host_skin import bones_over_time, nodes_over_time
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.mesh import atlas_of, coarser, mesh_of
-from jaxmocap.body.surfaces.surface import posed, rest_nodes
+from jaxmocap.body.surfaces.surface import bones_over_time, nodes_over_time, posed, rest_nodes
 from jaxmocap.capture.photographs import png_of
 from jaxmocap.formats.animation.export import write_animation, write_avatar
 from jaxmocap.formats.armatures.skin import TEXEL_M

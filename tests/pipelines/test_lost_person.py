@@ -14,7 +14,7 @@ from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.cameras.video_sources import VideoSource
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, write_recording
-from jaxmocap.pipelines.silhouettes.lost_person import (
+from jaxmocap.pipelines.silhouettes.keypoints import (
     check_determined,
     keypoint_distances,
     lost_sentences,

@@ -18,9 +18,13 @@ from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.silhouette.device_functions import fit
 from jaxmocap.silhouette.first_pose import landmark_points
 from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance
-from jaxmocap.silhouette.recovery.limb_likelihood import explained_log_ratio
+from jaxmocap.silhouette.recovery.limb_likelihood import (
+    Obstacles,
+    explained_log_ratio,
+    obstacle_rings,
+    penetrating_share,
+)
 from jaxmocap.silhouette.recovery.limbs import bone_ends, carriers, halves_of, limb_chains
-from jaxmocap.silhouette.recovery.penetration import Obstacles, obstacle_rings, penetrating_share
 from jaxmocap.silhouette.recovery.projected_body import ProjectedBody, body_pixels
 from jaxmocap.silhouette.segmentation.outlines import find_outlines
 from jaxmocap.silhouette.state import State

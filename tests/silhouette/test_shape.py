@@ -13,11 +13,11 @@ from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.proportions import LENGTHS, scaled, stretched
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import BodyPoints, resampled, rest_nodes
-from jaxmocap.body.surfaces.swelling_fields import KINDS, fields_of, reshaped
 from jaxmocap.geometry.cameras import stack_cameras
 from jaxmocap.silhouette.device_functions import ContourPairs
 from jaxmocap.silhouette.passes import PassLearner
 from jaxmocap.silhouette.surfaces.shape import DEVIATION_M, ShapeEstimator, shape_equations
+from jaxmocap.silhouette.surfaces.swelling import KINDS, fields_of, reshaped
 
 SURFACE, JOINTS = generic_surface(BODY), rest_joints(BODY)
 FIELDS = fields_of(SURFACE, JOINTS)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.silhouette.recovery import withdrawal
-from jaxmocap.silhouette.recovery.withdrawal import LOST_FRAMES, remembered, slim, withdrawn
+from jaxmocap.silhouette.recovery import relocation
+from jaxmocap.silhouette.recovery.relocation import LOST_FRAMES, remembered, slim, withdrawn
 from jaxmocap.silhouette.segmentation.outlines import Outlines
 from jaxmocap.silhouette.state import RecentFrame, StepReport
 
@@ -38,7 +38,7 @@ def information_without(constants, body, hidden, pose, pairs, measured):
 @pytest.fixture
 def kept(monkeypatch):
     """What a pass keeps of some steps."""
-    monkeypatch.setattr(withdrawal, "information_without", information_without)
+    monkeypatch.setattr(relocation, "information_without", information_without)
 
     def run(*steps: StepReport) -> list[StepReport]:
         reports, recent = [], ()

@@ -12,8 +12,7 @@ from jaxmocap.synthetic import recording
 from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.people.meshes import QuadMesh
-from jaxmocap.synthetic.placement import RotatedMover, camera_at
-from jaxmocap.synthetic.renderer import render_frames
+from jaxmocap.synthetic.renderer import RotatedMover, camera_at, render_frames
 
 ARMS = ("shoulder_l", "shoulder_r", "elbow_l", "elbow_r", "wrist_l", "wrist_r")
 MOTIONS = {

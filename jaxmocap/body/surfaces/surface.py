@@ -1,7 +1,8 @@
 """The body's surface: patches of a grid of nodes that bones carry (second paper, 3.1.5 and 3.2).
 
 INPUTS: nodes in bones' frames with their shares; the frames of a pose.
-OUTPUTS: nodes in the world; the same surface denser, or smoother.
+OUTPUTS: nodes in the world; the same surface denser, or smoother; nodes (T, N, 3) over time, in
+double precision on the host, for files and pictures.
 
 A patch is a two-parametric surface F(phi1, phi2): phi1 runs around a limb and is periodic, phi2
 along it. Every node's list of joints, in order, is the chain of the bones that carry it. Nothing
@@ -17,6 +18,9 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Frames
+from jaxmocap.body.orientations import body_turns, matrices
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.arrays import on_device
 from jaxmocap.geometry.fourier import cosine_matrix, fourier_matrix, linear_matrix
 from jaxmocap.geometry.rotations import HIGHEST, rotate
@@ -249,3 +253,28 @@ def skinned(frames: Frames, skin: Skin) -> tuple[Array, Array, Array]:
     x, y, z = skin.rest
     rows = [T[i] * x + T[i + 1] * y + T[i + 2] * z + T[i + 3] for i in (0, 4, 8)]
     return rows[0], rows[1], rows[2]
+
+
+def bones_over_time(skeleton: Skeleton, poses: Pose) -> tuple[np.ndarray, np.ndarray]:
+    """Orientations (T, B, 3, 3) of the bones and places (T, B, 3) of their joints, world."""
+    root = matrices(np.asarray(poses.quaternion, float))
+    R = root[:, None] @ body_turns(skeleton, np.asarray(poses.angles, float))
+    reach = np.asarray(skeleton.lengths, float)[:, None] * np.asarray(skeleton.directions, float)
+    joints = np.repeat(np.asarray(poses.position, float)[:, None], len(reach), 1)
+    for bone, parent in enumerate(skeleton.tree.parents):
+        if parent >= 0:
+            joints[:, bone] = joints[:, parent] + R[:, parent] @ reach[parent]
+    return R, joints
+
+
+def nodes_over_time(
+    points: BodyPoints, R_world_bone: np.ndarray, joints_world: np.ndarray
+) -> np.ndarray:
+    """Nodes (T, N, 3) of ``bones_over_time``'s bones: linear blend skinning."""
+    bones, shares = np.asarray(points.bones), np.asarray(points.shares, float)
+    places = np.asarray(points.points_bone, float)
+    nodes = np.zeros((len(joints_world), len(bones), 3))
+    for k in range(bones.shape[1]):
+        turned = np.einsum("tnij,nj->tni", R_world_bone[:, bones[:, k]], places[:, k])
+        nodes += shares[:, k, None] * (joints_world[:, bones[:, k]] + turned)
+    return nodes

@@ -15,7 +15,7 @@ import numpy as np
 from jaxmocap.body.model import marker_sites
 from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.body_reach import bones_between, max_marker_distances, standing_points
-from jaxmocap.formats.marker_sets.marked_joints import determine_body
+from jaxmocap.formats.marker_sets.sets import determine_body
 from jaxmocap.formats.recordings.recording import Recording
 
 # A bone's length may differ from that between its markers by this share,

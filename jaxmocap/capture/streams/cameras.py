@@ -26,8 +26,7 @@ from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.capture.streams.source import Listener
 from jaxmocap.capture.video import SIZE_TOLERANCE, Video
 from jaxmocap.formats.cameras.video_sources import read_video_tables
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.errors import InputError, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.geometry.cameras import Camera
 

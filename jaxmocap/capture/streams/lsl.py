@@ -19,8 +19,7 @@ from jaxmocap.capture.streams.osc import MAX_DISTANCE_M, MarkerMessage, unit_qua
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.source import MarkerSource, SourceTable
 from jaxmocap.capture.streams.stream_clock import StreamClock
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list, short_repr
+from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 
 # A stream that is not there is asked for again and again, for so many seconds at a time.

@@ -23,8 +23,7 @@ from jaxmocap.formats.files.addresses import (
     read_allowed_networks,
     resolve_address,
 )
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list, short_repr
+from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
 

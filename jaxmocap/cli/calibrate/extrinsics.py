@@ -7,8 +7,7 @@ file.
 import argparse
 
 from jaxmocap.cli.calibrate.board_options import BOARD_TEXT, add_board
-from jaxmocap.cli.command import Command, numbers
-from jaxmocap.cli.reporting import report
+from jaxmocap.cli.command import Command, numbers, report
 
 POSE_TEXT = """\
 --pose X,Y,Z,RX,RY,RZ is the board's place in the world: its origin in metres, then its rotations in

@@ -6,8 +6,7 @@ INPUTS: pictures of a board. OUTPUTS: the camera's section of a calibration file
 import argparse
 
 from jaxmocap.cli.calibrate.board_options import BOARD_TEXT, add_board
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.reporting import report
+from jaxmocap.cli.command import Command, report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

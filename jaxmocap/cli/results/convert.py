@@ -7,8 +7,7 @@ cannot hold.
 import argparse
 from pathlib import Path
 
-from jaxmocap.cli.command import Command, add_up, picture_size, positive_number
-from jaxmocap.cli.reporting import report
+from jaxmocap.cli.command import Command, add_up, picture_size, positive_number, report
 
 FORMATS_TEXT = """\
 Markers: .c3d .trc .csv. Motions: .npz .bvh .glb .mot; their joints can become markers. What a

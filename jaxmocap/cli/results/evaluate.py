@@ -5,8 +5,7 @@ INPUTS: a folder that ``track`` wrote, a reference's file. OUTPUTS: errors of ea
 
 import argparse
 
-from jaxmocap.cli.command import Command, finite_number, pair
-from jaxmocap.cli.reporting import files_read, report
+from jaxmocap.cli.command import Command, files_read, finite_number, pair, report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

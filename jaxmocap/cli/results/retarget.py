@@ -5,8 +5,7 @@ INPUTS: what ``track`` wrote, another body. OUTPUTS: a folder with that body's m
 
 import argparse
 
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.reporting import report
+from jaxmocap.cli.command import Command, report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

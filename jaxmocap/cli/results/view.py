@@ -6,8 +6,7 @@ INPUTS: a folder that ``track`` wrote. OUTPUTS: a viewer.
 import argparse
 import sys
 
-from jaxmocap.cli.command import Command, port_number
-from jaxmocap.cli.reporting import report
+from jaxmocap.cli.command import Command, port_number, report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

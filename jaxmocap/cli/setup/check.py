@@ -5,8 +5,7 @@ INPUTS: a recording. OUTPUTS: who moves, the markers, what each camera sees of t
 
 import argparse
 
-from jaxmocap.cli.command import Command
-from jaxmocap.cli.reporting import report
+from jaxmocap.cli.command import Command, report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

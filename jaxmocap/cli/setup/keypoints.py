@@ -7,10 +7,9 @@ file; exit code 1 where somebody was found in no frame of a video.
 import argparse
 from pathlib import Path
 
-from jaxmocap.cli.command import Command
+from jaxmocap.cli.command import Command, exit_code, report
 from jaxmocap.cli.detector_options import add_detector, detector_of
 from jaxmocap.cli.recording_options import add_cameras, recording_of
-from jaxmocap.cli.reporting import exit_code, report
 
 FOLDER = "keypoints"
 

@@ -6,8 +6,7 @@ INPUTS: a recording of devices that are turned about resting joints. OUTPUTS: li
 
 import argparse
 
-from jaxmocap.cli.command import Command, numbers
-from jaxmocap.cli.reporting import report
+from jaxmocap.cli.command import Command, numbers, report
 
 TURNING_TEXT = """\
 For every marker with an orientation: its offset from its bone's joint, in its own axes.

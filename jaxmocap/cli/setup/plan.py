@@ -6,9 +6,16 @@ expected deviations, as text, picture and figures.
 
 import argparse
 
-from jaxmocap.cli.command import Command, finite_number, names, numbers, positive_number
+from jaxmocap.cli.command import (
+    Command,
+    files_read,
+    finite_number,
+    names,
+    numbers,
+    positive_number,
+    report,
+)
 from jaxmocap.cli.command import positive_whole_number as whole
-from jaxmocap.cli.reporting import files_read, report
 
 MOVEMENTS = ("tennis", "thrust", "reaching", "across", "raises", "squat")
 MOST_CAMERAS = 4

@@ -6,8 +6,7 @@ INPUTS: a height, a static trial or a recording. OUTPUTS: subject.toml; its leng
 import argparse
 from pathlib import Path
 
-from jaxmocap.cli.command import Command, pair, positive_number
-from jaxmocap.cli.reporting import files_read, report
+from jaxmocap.cli.command import Command, files_read, pair, positive_number, report
 from jaxmocap.formats.files.errors import InputError
 
 LENGTHS_TEXT = """\

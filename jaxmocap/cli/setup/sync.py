@@ -6,9 +6,8 @@ The recording's file is not changed.
 
 import argparse
 
-from jaxmocap.cli.command import Command, positive_number
+from jaxmocap.cli.command import Command, exit_code, positive_number, report
 from jaxmocap.cli.recording_options import add_cameras, recording_of
-from jaxmocap.cli.reporting import exit_code, report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

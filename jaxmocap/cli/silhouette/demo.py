@@ -6,8 +6,7 @@ files, errors against the truth.
 
 import argparse
 
-from jaxmocap.cli.command import Command, positive_number, whole_number
-from jaxmocap.cli.reporting import report
+from jaxmocap.cli.command import Command, positive_number, report, whole_number
 
 # The names of ``synthetic.movements.exercises.EXERCISES``; --help does not load that.
 EXERCISES = ("push_ups", "sit_ups", "arm_raises", "turn", "walking", "jumping", "scissors")

@@ -6,8 +6,7 @@ every step.
 
 import argparse
 
-from jaxmocap.cli.command import Command, positive_number, whole_number
-from jaxmocap.cli.reporting import report
+from jaxmocap.cli.command import Command, positive_number, report, whole_number
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

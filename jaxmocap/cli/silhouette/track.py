@@ -10,9 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxmocap.cli.command import Command, numbers, whole_number
+from jaxmocap.cli.command import Command, exit_code, numbers, report, whole_number
 from jaxmocap.cli.recording_options import add_cameras, recording_of
-from jaxmocap.cli.reporting import exit_code, report
 
 if TYPE_CHECKING:
     from jaxmocap.silhouette.settings import Settings
@@ -83,7 +82,7 @@ def _run(options: argparse.Namespace) -> int:
     from jaxmocap.body.skeleton import with_joints
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.silhouettes.first_pose import morphing_for, start_pose
-    from jaxmocap.pipelines.silhouettes.lost_person import check_determined, lost_sentences
+    from jaxmocap.pipelines.silhouettes.keypoints import check_determined, lost_sentences
     from jaxmocap.pipelines.silhouettes.person import person_files, with_model
     from jaxmocap.pipelines.silhouettes.track import track_silhouettes
     from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results

@@ -6,9 +6,8 @@ failed. What an earlier run has tracked is kept.
 
 import argparse
 
-from jaxmocap.cli.command import Command, positive_number, positive_whole_number
+from jaxmocap.cli.command import Command, exit_code, positive_number, positive_whole_number, report
 from jaxmocap.cli.recording_options import add_settings, settings_of
-from jaxmocap.cli.reporting import exit_code, report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

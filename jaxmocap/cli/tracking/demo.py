@@ -5,8 +5,7 @@ INPUTS: a folder, a duration, a seed. OUTPUTS: the recording, its tracked files,
 
 import argparse
 
-from jaxmocap.cli.command import Command, positive_number, whole_number
-from jaxmocap.cli.reporting import report
+from jaxmocap.cli.command import Command, positive_number, report, whole_number
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

@@ -6,9 +6,8 @@ Exit code 1 where nothing came in or it was not all recorded, 143 where SIGTERM 
 
 import argparse
 
-from jaxmocap.cli.command import Command, positive_number
+from jaxmocap.cli.command import Command, exit_code, positive_number, report
 from jaxmocap.cli.recording_options import add_settings, settings_of
-from jaxmocap.cli.reporting import exit_code, report
 from jaxmocap.pipelines.signals import Terminated
 
 

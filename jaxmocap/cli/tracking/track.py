@@ -6,9 +6,8 @@ exit code 1 where the body is far off its markers.
 
 import argparse
 
-from jaxmocap.cli.command import Command, add_up, positive_number
+from jaxmocap.cli.command import Command, add_up, exit_code, positive_number, report
 from jaxmocap.cli.recording_options import add_cameras, add_settings, recording_of, settings_of
-from jaxmocap.cli.reporting import exit_code, report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

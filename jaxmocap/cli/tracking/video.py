@@ -9,9 +9,8 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from jaxmocap.cli.command import Command, positive_number
+from jaxmocap.cli.command import Command, exit_code, positive_number, report
 from jaxmocap.cli.detector_options import MEDIAPIPE, add_detector, detector_of
-from jaxmocap.cli.reporting import exit_code, report
 
 FOLDER = "recording"
 
@@ -33,7 +32,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from jaxmocap.pipelines.kept_programs import keep_compiled
-    from jaxmocap.pipelines.silhouettes.lost_person import lost_sentences
+    from jaxmocap.pipelines.silhouettes.keypoints import lost_sentences
     from jaxmocap.pipelines.silhouettes.track import track_silhouettes
     from jaxmocap.pipelines.silhouettes.video import recording_of_video
     from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results

@@ -7,9 +7,8 @@ they took.
 import argparse
 from dataclasses import asdict
 
-from jaxmocap.cli.command import Command
+from jaxmocap.cli.command import Command, report
 from jaxmocap.cli.recording_options import add_settings, settings_of
-from jaxmocap.cli.reporting import report
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

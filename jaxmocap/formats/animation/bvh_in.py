@@ -17,9 +17,8 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.formats.animation.bvh import LONGEST_STEP_S, UNITS
 from jaxmocap.formats.armatures.armature import MAX_DEPTH, MAX_JOINTS, MAX_ROTATIONS, Armature
 from jaxmocap.formats.armatures.joint_names import end_of
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.lines import numbered_lines
-from jaxmocap.formats.files.short_repr import short_name, short_repr
+from jaxmocap.formats.files.errors import InputError, short_name, short_repr
+from jaxmocap.formats.files.reading import numbered_lines
 from jaxmocap.formats.time_series.tables import (
     FARTHEST_M,
     LARGEST_NUMBER,

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 import jaxmocap
 from jaxmocap.formats.animation.glb import BinaryChunk, write_document
 from jaxmocap.formats.armatures.armature import Armature, BeyondFormatError
-from jaxmocap.formats.armatures.skinned_mesh import SkinnedMesh, limb_mesh
+from jaxmocap.formats.armatures.skin import SkinnedMesh, limb_mesh
 from jaxmocap.formats.conversion.resampling import hold_across_gaps
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.origin import local_origin

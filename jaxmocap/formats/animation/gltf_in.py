@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from jaxmocap.formats.animation.glb import Accessors, read_document
 from jaxmocap.formats.animation.json_parts import JsonPart
 from jaxmocap.formats.armatures.armature import MAX_DEPTH, MAX_JOINTS, MAX_ROTATIONS, Armature
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list, short_name
+from jaxmocap.formats.files.errors import InputError, comma_list, short_name
 from jaxmocap.formats.time_series.tables import LATEST_S
 
 # Joints other than the root may not slide by more than this, metres.

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list, short_repr
+from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 
 MAX_TEXT_CHARACTERS = 200
 _LARGEST = 2**53

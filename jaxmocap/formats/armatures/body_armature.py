@@ -29,8 +29,7 @@ from jaxmocap.formats.armatures.joint_names import (
     end_of,
     names_to_ours,
 )
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list, short_name
+from jaxmocap.formats.files.errors import InputError, comma_list, short_name
 from jaxmocap.geometry.rows import ComputedRows, Index
 
 # Angles of our skeleton in the T pose, degrees; the others are 0.

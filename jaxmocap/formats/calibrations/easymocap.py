@@ -10,9 +10,8 @@ world to the camera. The world is the chessboard's: unit and axes are what a use
 from jaxmocap.formats.calibrations.source import Source, SourceCalibration
 from jaxmocap.formats.cameras.calibration import read_place
 from jaxmocap.formats.cameras.opencv_yaml import camera_table, read_entries
-from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.errors import InputError, short_name
 from jaxmocap.formats.files.reading import regular_file
-from jaxmocap.formats.files.short_repr import short_name
 from jaxmocap.formats.files.toml import TomlTable, is_folder
 
 INTRINSICS, EXTRINSICS = "intri.yml", "extri.yml"

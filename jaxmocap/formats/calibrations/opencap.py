@@ -20,9 +20,8 @@ from jaxmocap.formats.calibrations.plain_pickle import (
     read_plain_pickle,
 )
 from jaxmocap.formats.calibrations.source import Source, SourceCalibration
-from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.errors import InputError, short_name, short_repr
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.short_repr import short_name, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 
 FILE = "cameraIntrinsicsExtrinsics.pickle"

@@ -18,8 +18,7 @@ from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.errors import InputError, short_repr
 
 FIRST_BYTE = b"\x80"
 MAX_PICKLE_BYTES = 2**20

@@ -19,7 +19,7 @@ import numpy as np
 
 from jaxmocap.formats.calibrations.source import Source, SourceCalibration, left_out
 from jaxmocap.formats.calibrations.xml_cameras import R_CAM_OPENGL, XmlCamera, pinhole
-from jaxmocap.formats.files.short_repr import comma_list
+from jaxmocap.formats.files.errors import comma_list
 from jaxmocap.formats.files.toml import TomlTable
 
 SUB_PIXELS = 64

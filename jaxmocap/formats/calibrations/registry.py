@@ -21,8 +21,7 @@ from jaxmocap.formats.cameras.calibration import (
     shortest,
     write_sections,
 )
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list, short_repr
+from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable, file_name_problem, same_file_name
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP
 from jaxmocap.formats.time_series.tables import FARTHEST_M

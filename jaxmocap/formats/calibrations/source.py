@@ -12,9 +12,8 @@ from xml.etree.ElementTree import Element
 from jaxmocap.formats.calibrations.plain_pickle import FIRST_BYTE, read_plain_pickle
 from jaxmocap.formats.calibrations.xml_cameras import parse_xml
 from jaxmocap.formats.cameras.opencv_yaml import read_entries
-from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.errors import InputError, comma_list
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.short_repr import comma_list
 from jaxmocap.formats.files.toml import TomlTable, is_folder, read_toml
 
 # A Motive file with the masks of a hundred cameras takes some ten megabytes.

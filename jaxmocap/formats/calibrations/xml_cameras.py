@@ -14,8 +14,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from jaxmocap.formats.cameras.calibration import is_rotation
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import short_name, short_repr
+from jaxmocap.formats.files.errors import InputError, short_name, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 
 # A camera takes some ten elements and a hundred attributes.

@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.formats.cameras.opencv_yaml import YAML_SUFFIXES, read_opencv_yaml
 from jaxmocap.formats.cameras.toml_sections import replace_entries
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr
+from jaxmocap.formats.files.errors import InputError, comma_list, short_name, short_repr
 from jaxmocap.formats.files.toml import (
     TomlTable,
     file_name_problem,

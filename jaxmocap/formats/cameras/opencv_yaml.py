@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.lines import read_lines
+from jaxmocap.formats.files.reading import read_lines
 
 YAML_SUFFIXES = (".yml", ".yaml")
 # Field of the TOML layout -> what it is called in such files.

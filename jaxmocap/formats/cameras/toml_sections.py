@@ -9,8 +9,7 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from jaxmocap.formats.files.toml import toml_key, toml_value
-from jaxmocap.formats.files.toml_scan import statement_starts
+from jaxmocap.formats.files.toml import statement_starts, toml_key, toml_value
 
 _HEADER = re.compile(r"\s*\[.*\]\s*(#.*)?")
 

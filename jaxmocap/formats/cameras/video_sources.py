@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.formats.cameras.calibration import camera_of, read_sections
-from jaxmocap.formats.files.short_repr import comma_list, short_repr
+from jaxmocap.formats.files.errors import comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable, same_file_name
 from jaxmocap.formats.recordings.keypoint_files import LARGEST_FRAME_NUMBER
 from jaxmocap.formats.recordings.keypoint_models import MODELS

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 from typing import Any, NamedTuple
 
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.errors import InputError, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 
 Network = IPv4Network | IPv6Network

@@ -18,9 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.errors import InputError, short_name, short_repr
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.short_repr import short_name, short_repr
 
 # All arrays that are read from one file, in memory, bytes: a million samples take 500 MB.
 MAX_ARRAY_BYTES = 768 * 2**20

@@ -20,10 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.errors import InputError, short_repr
 from jaxmocap.formats.files.json_text import parse_json
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.short_repr import short_repr
 
 # The last number in a file's name is its frame's: cam_01_000000000123_keypoints.json.
 _NUMBER = re.compile(r"\d+(?!.*\d)")

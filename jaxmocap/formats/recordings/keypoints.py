@@ -13,9 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.reading import regular_file
-from jaxmocap.formats.files.short_repr import comma_list, short_repr
 from jaxmocap.formats.files.toml import is_folder
 from jaxmocap.formats.recordings.keypoint_files import (
     KeypointFrame,

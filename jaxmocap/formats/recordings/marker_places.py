@@ -20,8 +20,7 @@ import numpy as np
 
 from jaxmocap.body.orientations import matrices
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import short_name, short_repr
+from jaxmocap.formats.files.errors import InputError, short_name, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 
 # A degree of orientation weighs as 1.7 mm.

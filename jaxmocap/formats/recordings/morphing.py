@@ -13,7 +13,7 @@ import numpy as np
 from jaxmocap.body.surfaces.morphing import WEIGHTINGS, Driver, Morphing, Transition, morphing_of
 from jaxmocap.body.surfaces.surface import Patch
 from jaxmocap.body.tree import Tree
-from jaxmocap.formats.files.short_repr import comma_list, short_repr
+from jaxmocap.formats.files.errors import comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable, read_toml
 from jaxmocap.formats.recordings.surface import load_surface
 

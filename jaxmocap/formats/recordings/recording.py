@@ -15,8 +15,7 @@ import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.cameras.video_sources import VideoSource, read_videos
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list, short_name
+from jaxmocap.formats.files.errors import InputError, comma_list, short_name
 from jaxmocap.formats.files.toml import TomlTable, read_toml, write_toml
 from jaxmocap.formats.marker_sets.sets import SET_KEYS, MarkerSet, PlacedMarkers, placed_markers
 from jaxmocap.formats.recordings.filters import FILTER_KEYS, Filters, read_filters

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxmocap.formats.files.short_repr import comma_list, short_repr
+from jaxmocap.formats.files.errors import comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.formats.time_series.tables import Markers
 

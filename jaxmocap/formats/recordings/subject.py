@@ -20,8 +20,7 @@ import numpy as np
 from jaxmocap.body.skeleton import JOINT_CENTRES, LANDMARKS, Skeleton, scale_to_height, with_wrists
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.compilation.arrays import on_device
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr
+from jaxmocap.formats.files.errors import InputError, comma_list, short_name, short_repr
 from jaxmocap.formats.files.toml import TomlTable, read_toml, write_toml
 from jaxmocap.formats.time_series.axes import read_axes, to_world
 from jaxmocap.formats.time_series.markers import read_markers

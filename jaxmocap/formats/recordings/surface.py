@@ -15,8 +15,7 @@ from jaxmocap.body.surfaces.surface import BodyPoints, Patch, Surface, rest_node
 from jaxmocap.body.tree import Tree
 from jaxmocap.compilation.arrays import on_device
 from jaxmocap.formats.files.arrays import INTEGERS, NAMES, ArraySpec, NpzArrays
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list, short_repr
+from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.writing import replacing
 
 PATCH_NAMES = ("torso", "arm_l", "arm_r", "leg_l", "leg_r", "foot_l", "foot_r")

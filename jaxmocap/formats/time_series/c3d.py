@@ -21,9 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.errors import InputError, short_name, short_repr
 from jaxmocap.formats.files.reading import open_regular, regular_file
-from jaxmocap.formats.files.short_repr import short_name, short_repr
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series import c3d_process
 from jaxmocap.formats.time_series.tables import (

@@ -22,9 +22,8 @@ from jaxmocap.body.motion import Motion, near_origin
 from jaxmocap.body.orientations import matrices
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.lines import numbered_lines
-from jaxmocap.formats.files.short_repr import comma_list, short_name
+from jaxmocap.formats.files.errors import InputError, comma_list, short_name
+from jaxmocap.formats.files.reading import numbered_lines
 from jaxmocap.formats.files.writing import write_lines
 from jaxmocap.formats.time_series.isb import isb_angles
 from jaxmocap.formats.time_series.tables import (

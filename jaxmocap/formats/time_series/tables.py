@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.errors import InputError, short_repr
 from jaxmocap.geometry.rows import ComputedRows, Index, Rows, row_blocks
 
 # Of one table, 0.5 GB: half an hour of 60 markers at 200 Hz.

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.lines import numbered_lines
-from jaxmocap.formats.files.short_repr import short_name, short_repr
+from jaxmocap.formats.files.errors import InputError, short_name, short_repr
+from jaxmocap.formats.files.reading import numbered_lines
 from jaxmocap.formats.files.writing import write_lines
 from jaxmocap.formats.time_series.tables import (
     METRES_PER_UNIT,

@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.surfaces.host_skin import bones_over_time, nodes_over_time
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.mesh import MARGIN, Atlas, SurfaceMesh, atlas_of, mesh_of
-from jaxmocap.body.surfaces.surface import Surface, rest_nodes
+from jaxmocap.body.surfaces.surface import Surface, bones_over_time, nodes_over_time, rest_nodes
 from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.modelling.pictures.medial_axis import rim_distance
 from jaxmocap.modelling.pictures.views import PhotographView
@@ -28,8 +27,13 @@ from jaxmocap.modelling.texture.fusion import (
     weighted_blur,
     wide_blend,
 )
-from jaxmocap.modelling.texture.splats import splatted, visible_points
-from jaxmocap.modelling.texture.texels import SurfacePhotograph, Texels, texels_of
+from jaxmocap.modelling.texture.texels import (
+    SurfacePhotograph,
+    Texels,
+    splatted,
+    texels_of,
+    visible_points,
+)
 
 # A surface that faces a camera by a smaller cosine is ignored.
 LEAST_FACING = 0.15

@@ -21,8 +21,7 @@ import numpy as np
 
 from jaxmocap.formats.armatures.joint_names import CONVENTIONS
 from jaxmocap.formats.files.addresses import Address
-from jaxmocap.outputs.senders.osc import Bundle
-from jaxmocap.outputs.senders.sender import UNSTATED, Sender, SenderTable
+from jaxmocap.outputs.senders.osc import UNSTATED, Bundle, Sender, SenderTable
 from jaxmocap.outputs.senders.unity import Joints, UnityBody
 
 # The port of its receivers.

@@ -12,10 +12,9 @@ import numpy as np
 
 from jaxmocap.formats.armatures.joint_names import PELVIS
 from jaxmocap.formats.files.addresses import Address, read_address
-from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.errors import short_repr
 from jaxmocap.formats.files.toml import TomlTable
-from jaxmocap.outputs.senders.osc import Bundle
-from jaxmocap.outputs.senders.sender import UNSTATED, Sender, SenderTable
+from jaxmocap.outputs.senders.osc import UNSTATED, Bundle, Sender, SenderTable
 from jaxmocap.outputs.senders.unity import Joints, UnityBody, euler_degrees
 
 DEFAULT_SEND = Address(port=9000)

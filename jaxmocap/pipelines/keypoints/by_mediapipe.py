@@ -15,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.errors import InputError, short_repr
 from jaxmocap.formats.recordings.keypoint_models import MODELS
 from jaxmocap.pipelines.keypoints.detect import Detect, Detector
 

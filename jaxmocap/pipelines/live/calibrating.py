@@ -22,8 +22,7 @@ from jaxmocap.calibration.devices.standing import (
 )
 from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
 from jaxmocap.formats.cameras.toml_sections import replace_entries
-from jaxmocap.formats.files.errors import InputError, OutputError
-from jaxmocap.formats.files.short_repr import comma_list
+from jaxmocap.formats.files.errors import InputError, OutputError, comma_list
 from jaxmocap.formats.files.toml import toml_value
 from jaxmocap.formats.files.writing import write_text
 from jaxmocap.pipelines.live.setup import LiveSetup

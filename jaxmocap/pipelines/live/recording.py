@@ -26,9 +26,8 @@ from jaxmocap.body.orientations import quaternions
 from jaxmocap.body.skeleton import has_wrists
 from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.capture.streams.sample_assembly import MarkerSample
-from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.errors import InputError, comma_list
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.short_repr import comma_list
 from jaxmocap.formats.files.toml import read_toml
 from jaxmocap.formats.files.writing import (
     as_output_error,

@@ -18,8 +18,7 @@ from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.calibration.devices.standing import Stance
 from jaxmocap.capture.streams.inbox import LiveFrame
-from jaxmocap.formats.files.errors import printable
-from jaxmocap.formats.files.short_repr import short_name
+from jaxmocap.formats.files.errors import printable, short_name
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.live.calibrating import COUNTDOWN_S, calibrate_live
 from jaxmocap.pipelines.live.loop import Live

@@ -17,7 +17,7 @@ from jaxmocap.capture.streams.cameras import LiveVideo, read_live_videos
 from jaxmocap.capture.streams.lsl import LslTable
 from jaxmocap.capture.streams.source import SourceTable
 from jaxmocap.capture.streams.udp import OscTable
-from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.errors import short_repr
 from jaxmocap.formats.files.toml import TomlTable, read_toml
 from jaxmocap.formats.recordings.filters import OneEuroSettings, read_filters
 from jaxmocap.formats.recordings.marker_places import (
@@ -28,7 +28,7 @@ from jaxmocap.formats.recordings.marker_places import (
 )
 from jaxmocap.formats.recordings.subject import subject_or_default
 from jaxmocap.formats.time_series.axes import read_axes
-from jaxmocap.outputs.senders.sender import SenderTable
+from jaxmocap.outputs.senders.osc import SenderTable
 from jaxmocap.outputs.senders.vmc import VmcTable
 from jaxmocap.outputs.senders.vrchat import VrchatTable
 

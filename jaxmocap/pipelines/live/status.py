@@ -16,8 +16,7 @@ import numpy as np
 
 from jaxmocap.body.motion import UNDETERMINED_M
 from jaxmocap.capture.streams.senders import TokenBucket
-from jaxmocap.formats.files.errors import printable, shortened
-from jaxmocap.formats.files.short_repr import short_name
+from jaxmocap.formats.files.errors import printable, short_name, shortened
 
 # Messages that are kept: of the first ones.
 FIRST_KEPT = 500

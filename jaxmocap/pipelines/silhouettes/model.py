@@ -26,10 +26,9 @@ from jaxmocap.modelling.person import PersonModel, StanceError, person_model
 from jaxmocap.modelling.personal import PersonalModel, personal_model
 from jaxmocap.modelling.pictures import drawing
 from jaxmocap.modelling.pictures.backdrop import PhotographError, person_mask
-from jaxmocap.modelling.pictures.closed_mesh import joined_meshes
+from jaxmocap.modelling.pictures.drawing import joined_meshes
 from jaxmocap.modelling.pictures.medial_axis import medial_axis
-from jaxmocap.modelling.pictures.views import PhotographView
-from jaxmocap.modelling.readings import READINGS
+from jaxmocap.modelling.pictures.views import READINGS, PhotographView
 from jaxmocap.pipelines.silhouettes.person import PERSON_FILES, write_person
 
 PHOTOGRAPHS = ("front", "side", "joint", "arm_side")

@@ -16,7 +16,6 @@ from jaxmocap.body.model import marker_sites
 from jaxmocap.body.motion import Motion, Report, landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, with_joints
-from jaxmocap.body.surfaces.parts import determined_landmarks, moved_bones
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.capture.footage import forward_readers
@@ -28,13 +27,19 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.background_model import Background
 from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
-from jaxmocap.pipelines.silhouettes.keypoints import KeypointGuide, keypoint_guide
-from jaxmocap.pipelines.silhouettes.lost_person import LOST, keypoint_distances, lost_status
+from jaxmocap.pipelines.silhouettes.keypoints import (
+    LOST,
+    KeypointGuide,
+    keypoint_distances,
+    keypoint_guide,
+    lost_status,
+)
 from jaxmocap.pipelines.tracking.warnings import of_elbows
 from jaxmocap.silhouette.passes import FrameBundle, PassResult, PassSettings, run_passes
 from jaxmocap.silhouette.segmentation.background_models import background_of_picture
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.state import StepReport
+from jaxmocap.silhouette.surfaces.body_shape import determined_landmarks, moved_bones
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 # A photographed surface's deviations by a generic one's: what was photographed needs less

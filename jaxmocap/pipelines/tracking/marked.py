@@ -25,7 +25,7 @@ from jaxmocap.fitting.marker_fit import (
     usual_covariance,
 )
 from jaxmocap.fitting.marker_poses import FAR_TAILS, FIT_POSES, TAILS, PosesFit
-from jaxmocap.formats.marker_sets.marked_joints import determine_body
+from jaxmocap.formats.marker_sets.sets import determine_body
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.step import PLACE

@@ -18,9 +18,10 @@ from jaxmocap.silhouette.recovery.limb_likelihood import (
     NEAREST_M,
     LimbAppearance,
     LimbEvidence,
+    Obstacles,
+    obstacle_rings,
 )
 from jaxmocap.silhouette.recovery.limbs import LimbChain, bins_along, carriers, halves_of
-from jaxmocap.silhouette.recovery.penetration import Obstacles, obstacle_rings
 from jaxmocap.silhouette.recovery.projected_body import ProjectedBody
 from jaxmocap.silhouette.recovery.settings import RecoverySettings
 

@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.images.colours import LEVELS
-from jaxmocap.images.shadows import lit_or_shaded_density
+from jaxmocap.images.colours import LEVELS, lit_or_shaded_density
 
 # Bins of a histogram of grey levels.
 GREYS = 64

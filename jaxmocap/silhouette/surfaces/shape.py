@@ -25,13 +25,13 @@ from jaxmocap.body.proportions import LENGTHS, covariance_among_people, scaled, 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import Surface, posed
-from jaxmocap.body.surfaces.swelling_fields import fields_of, reshaped
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.device_functions import ContourPairs
 from jaxmocap.silhouette.fit.correspond import pairs_of
 from jaxmocap.silhouette.points import linearised_rays
 from jaxmocap.silhouette.surfaces.morph import Morph, driver_values, moved_points
+from jaxmocap.silhouette.surfaces.swelling import fields_of, reshaped
 
 # Deviation of a pair, metres, such that a whole recording's pairs count as what they are worth:
 # neighbours on a contour err alike, and so does one place of the body in all frames.

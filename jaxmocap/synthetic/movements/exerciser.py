@@ -12,8 +12,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.movements.stances import KeyStance, StanceChannels
+from jaxmocap.synthetic.movements.splines import KeyStance, Spline, StanceChannels
 from jaxmocap.synthetic.people.figure import middle_joint
 from jaxmocap.synthetic.people.rigged_mesh import (
     RiggedMesh,

@@ -13,8 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.synthetic.movements.exerciser import Exerciser
-from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.movements.stances import KeyStance
+from jaxmocap.synthetic.movements.splines import KeyStance, Spline
 from jaxmocap.synthetic.people.rigged_mesh import Rig
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 

@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.formats.files.arrays import INTEGERS, NAMES, ArraySpec, NpzArrays
-from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import comma_list
+from jaxmocap.formats.files.errors import InputError, comma_list
 from jaxmocap.synthetic.people.meshes import QuadMesh
 
 # Of a vertex or joint of a file.
