@@ -105,9 +105,7 @@ def forearm_turns(
 ) -> np.ndarray:
     """Rotation vectors (K, 3), radians, about x and y of the forearm: a hexagonal grid.
 
-    Args:
-        farthest: from no turn, degrees.
-        spacing: between neighbours, degrees.
+    ``farthest`` from no turn and ``spacing`` between neighbours are degrees.
     """
     reach = int(farthest / (spacing * np.sqrt(0.75))) + 1
     rows, columns = np.meshgrid(np.arange(-reach, reach + 1), np.arange(-2 * reach, 2 * reach + 1))

@@ -166,10 +166,7 @@ def landmarks_over_time(skeleton: Skeleton, poses: Pose, rows: Index = slice(Non
 def in_blocks(function: Callable[[Skeleton, Pose], Any], skeleton: Skeleton, poses: Pose) -> Any:
     """What a function makes of poses (T, ...), called with some at a time: memory is bounded.
 
-    Args:
-        function: of a skeleton and poses (N, ...), to a tree of arrays (N, ...).
-        skeleton: of the poses.
-        poses: at least one.
+    The function goes to a tree of arrays (N, ...).
     """
     count = len(poses.angles)
     # Motions of many lengths share few compilations: the last pose fills up to a power of two.

@@ -85,10 +85,8 @@ def estimate_intrinsics(
 ) -> IntrinsicsEstimate:
     """Calibrate a camera from views of a board, without those whose corners are wrong.
 
-    Args:
-        views: at least three.
-        size: width and height of the pictures, pixels.
-        kind: of the lens; defaults to an ordinary one with k1 k2 p1 p2.
+    It takes three views at least; the size is width and height, pixels. An ordinary lens with k1 k2
+    p1 p2 is the default.
 
     Raises:
         ArithmeticError: the views determine nothing.

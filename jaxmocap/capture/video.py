@@ -61,8 +61,7 @@ class FrameSource(ABC):
     def frames(self, luma: bool = False) -> Iterator[TimedImage]:
         """Go through all F frames.
 
-        Args:
-            luma: grey images instead of colour.
+        Images are (H, W, 3) BGR, or with ``luma`` (H, W) grey, uint8.
 
         Yields:
             Time, and an image (H, W, 3) BGR uint8 or with ``luma`` (H, W) uint8; None where the

@@ -56,11 +56,7 @@ def plot_floor_plan(
 ) -> None:
     """Draw the room, and beside it what each set-up is expected to give.
 
-    Args:
-        path: of the picture (.png, .svg, .pdf).
-        room: from above.
-        expected: set-up and deviation, metres.
-        what: of which joints.
+    ``expected`` has set-ups and deviations, metres.
     """
     figure, axes = new_panels(1, 2, (5.6, 4.4), sharex=False)
     floor, bars = axes[0]

@@ -55,10 +55,7 @@ def risk_curve(stated: np.ndarray, found: np.ndarray) -> tuple[np.ndarray, np.nd
 def plot_reliability(path: str | Path, runs: Mapping[str, Errors], title: str = "") -> None:
     """Draw both for each run.
 
-    Args:
-        path: of the picture (.png, .svg, .pdf).
-        runs: name -> errors with deviations; or joint -> errors of that joint.
-        title: above the panels.
+    A run has errors with deviations, or is the errors of one joint.
 
     Raises:
         ValueError: a run without deviations.

@@ -27,9 +27,7 @@ STAY, HEIGHT, ANCHOR = 100.0, 1.0, 1e-4
 def retargeted(motion: Motion, skeleton: Skeleton) -> Motion:
     """The motion, played by another person.
 
-    Args:
-        motion: of one person.
-        skeleton: of the other, with the same bones; moved by the motion's joints.
+    The skeleton is the other's, with the same bones; the motion's joints move it.
 
     Raises:
         ValueError: the bones are others.

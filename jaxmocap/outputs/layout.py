@@ -42,12 +42,7 @@ def lay_out(
 
     A recording plays from its first frame, again and again; a live run is followed.
 
-    Args:
-        cameras: camera name -> names of its fields.
-        scene: shown from the front left.
-        floor: under it, shown with a grid.
-        series: entities of time series and titles of their views.
-        live: whether data still come.
+    Cameras have the names of their fields, time series' entities the titles of their views.
     """
     body = rrb.Spatial3DView(
         origin="/world",

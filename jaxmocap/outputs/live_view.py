@@ -58,11 +58,7 @@ class LiveView:
     def __init__(self, url: str, skeleton: Skeleton, cameras: Mapping[str, Camera], pose: Pose):
         """Connect and lay out.
 
-        Args:
-            url: of the viewer, ``rerun+http://...``.
-            skeleton: of the person.
-            cameras: name -> calibration.
-            pose: about where the person will stand.
+        The viewer is at ``rerun+http://...``; about at the pose the person will stand.
         """
         self._skeleton, self._cameras = skeleton, dict(cameras)
         self.problem: str | None = None

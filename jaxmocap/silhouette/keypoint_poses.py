@@ -109,11 +109,7 @@ def poses_of_lines(
 ) -> KeypointPoses:
     """The poses (T, ...) that suit all frames' lines of sight.
 
-    Args:
-        skeleton: of the person, with D joints.
-        times: (T,) seconds.
-        lines: (T, ...) of C cameras.
-        settings: of the terms.
+    Times (T,) are seconds, the lines (T, ...) of C cameras.
     """
     model = Model(skeleton, Sites.none(skeleton.lengths.dtype))
     lines = jax.tree.map(lambda part: np.asarray(part, skeleton.lengths.dtype), lines)

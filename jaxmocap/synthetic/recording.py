@@ -167,11 +167,7 @@ def write_parts(
 ) -> Path:
     """Write every file of a recording.
 
-    Args:
-        directory: is made where missing.
-        parts: what they hold.
-        frames: (H, W, 3) BGR uint8, at ``video_times``.
-        seed: of the markers' noise.
+    Frames are (H, W, 3) BGR uint8, at ``video_times``.
 
     Returns:
         The path of ``recording.toml``.

@@ -96,10 +96,7 @@ def render_frames(
 ) -> Iterator[np.ndarray]:
     """Frames (H, W, 3), BGR uint8, one for each time.
 
-    Args:
-        scene: to be rendered.
-        times: (F,) the middles of the exposures, seconds.
-        progress: called with the frames done and their total.
+    Times (F,) are the middles of the exposures, seconds.
     """
     camera = DrawingCamera.of(scene.camera)
     sensor = Sensor.create(camera.size, np.random.default_rng([scene.seed, 3]))

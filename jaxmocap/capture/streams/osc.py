@@ -82,9 +82,7 @@ class Packet(NamedTuple):
 def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
     """Read one datagram.
 
-    Args:
-        datagram: as it came.
-        raw: take VMC's devices as tracked (``Pos/Local``) in place of scaled to an avatar.
+    ``raw`` takes VMC's devices as tracked (``Pos/Local``) in place of scaled to an avatar.
 
     Raises:
         BadPacketError: "malformed"; the datagram as a whole.

@@ -142,9 +142,7 @@ class MarkerSocket(MarkerSource):
     def take(self, datagrams: Sequence[Datagram], more_wait: bool = False) -> None:
         """Read datagrams: of each sender, and of all together, the newest where there are too many.
 
-        Args:
-            datagrams: in the order in which they came in.
-            more_wait: whether later ones are there already.
+        ``more_wait``: later ones are there already.
         """
         now = self._now()
         self.packets += len(datagrams)

@@ -108,11 +108,7 @@ def write_document(
 ) -> None:
     """Write a document with the arrays that it refers to.
 
-    Args:
-        path: of the file.
-        document: without its arrays.
-        binary: the arrays.
-        later: what there was room reserved for: where it begins, and its bytes.
+    ``later`` is what there was room reserved for: where it begins, and its bytes.
 
     Raises:
         BeyondFormatError: it would be larger than the format's 4 GiB.

@@ -48,9 +48,7 @@ class VideoFile:
 def replacing_video(path: str | Path, **options: Any) -> Iterator[VideoFile]:
     """Write a video beside ``path`` and replace it at the end.
 
-    Args:
-        path: of the file.
-        options: of the container, as ``av.open`` takes them.
+    The options are the container's, as ``av.open`` takes them.
 
     Raises:
         OutputError: it cannot be written completely; what was there before is as it was.

@@ -42,11 +42,7 @@ def even_times(
 ) -> np.ndarray:
     """Evenly spaced times, seconds, from the first of (T,) to the last at most.
 
-    Args:
-        times: of the samples there are.
-        rate: samples per second.
-        columns: numbers that each sample shall have.
-        path: of the file, for messages.
+    There are ``rate`` samples a second, of so many columns each.
 
     Raises:
         InputError: there would be far more samples than there are, or than memory holds.

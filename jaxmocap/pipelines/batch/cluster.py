@@ -60,9 +60,8 @@ class JobResult(NamedTuple):
 def cluster_client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     """A client of the scheduler at an address, or of processes of this machine's own.
 
-    Args:
-        scheduler: such as ``tcp://10.0.0.1:8786``, or None.
-        workers: processes, where there is no scheduler; defaults to one per core.
+    Without a scheduler, such as ``tcp://10.0.0.1:8786``, there are so many workers, by default one
+    per core.
 
     Raises:
         InputError: no scheduler answers there, or dask.distributed is not installed.
@@ -92,11 +91,7 @@ def results_as_completed(
 ) -> Iterator[JobResult]:
     """Every job, in the order in which they end; those left are cancelled when the caller stops.
 
-    Args:
-        client: of the cluster.
-        function: of a job.
-        jobs: to be done.
-        timeout_s: that a job may take once it has begun, seconds; its process is then ended.
+    A job that takes longer, seconds, fails, and its process is ended.
     """
     from distributed import as_completed
 

@@ -121,11 +121,7 @@ def make_silhouette_tracker(
 ) -> SilhouetteTracker:
     """The tracker of a recording's person by its cameras, and by its markers where asked for.
 
-    Args:
-        recording: with one or several videos.
-        settings: of the tracker.
-        markers: follow them too.
-        surface: of the person, around the recording's skeleton; a generic one without it.
+    The surface is around the recording's skeleton; without it there is a generic one.
 
     Raises:
         InputError: it has no video, or not the markers.

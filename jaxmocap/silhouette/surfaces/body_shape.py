@@ -46,10 +46,7 @@ def determined_landmarks(tree: Tree) -> np.ndarray:
 def surface_of_body(surface: Surface, skeleton: Skeleton, name: str) -> Surface:
     """A whole person's surface, cut down to the parts of a body; closed where it was cut.
 
-    Args:
-        surface: around the skeleton.
-        skeleton: of the person.
-        name: of the body's file; where that lists no ``surface`` it has all of it.
+    Where the body's file lists no ``surface`` it has all of it.
     """
     rows = surface_rows_of(name)
     if not rows:
@@ -96,10 +93,8 @@ class BodyShape(NamedTuple):
     ) -> "BodyShape":
         """Of a surface as dense as rims need it, and its low-passes.
 
-        Args:
-            skeleton: of the person.
-            surface: around it.
-            levels: coarse to fine: the lowest harmonics around and waves along each limb, (3.17).
+        Levels go from coarse to fine: the lowest harmonics around and waves along each limb,
+        (3.17).
         """
         joints = rest_joints(skeleton)
         every = (*(low_pass(surface, joints, *level) for level in levels), surface)
