@@ -33,10 +33,10 @@ from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
-from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, model_from
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
+from jaxmocap.silhouette.modelling.personal import PersonalModel
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.synthetic.movements.exercises import EXERCISES
 from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig

@@ -4,7 +4,8 @@ A frame goes through ``tracker.step``: predict, segment (``segmentation/``), fin
 body's surface (``surfaces/``), pair both and solve (``fit/``), recover lost limbs (``recovery/``).
 A recording goes through ``passes.run_passes``, each pass of which learns backgrounds and the
 person's shape for the next. All that a tracker remembers is in ``state.State``; all that a user may
-tune is in ``settings.Settings``. Begin with ``tracker``.
+tune is in ``settings.Settings``. A person's own body comes from four photographs (``modelling/``).
+Begin with ``tracker``.
 
 Apart from persons, ``solve_contour_pose`` finds a rigid object, a wire or a ``RigidSurface``, by
 its contour.

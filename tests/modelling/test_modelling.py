@@ -12,13 +12,18 @@ from scipy.spatial import Delaunay
 
 from bench.anthropometry import MeasuredPerson, tape_measure
 from jaxmocap.geometry.cameras import project
-from jaxmocap.modelling.arm_joints import evenly_spaced, turning_angles
-from jaxmocap.modelling.arm_surface import INNER_RINGS, SLICES
-from jaxmocap.modelling.person import StanceError, person_model
-from jaxmocap.modelling.pictures.drawing import closed_mesh, joined_meshes, volume
-from jaxmocap.modelling.pictures.medial_axis import medial_axis, path, rim_distance
-from jaxmocap.modelling.pictures.views import PAPER, PhotographView, spline_ring, superellipse_ring
-from jaxmocap.modelling.separation import find_landmarks
+from jaxmocap.silhouette.modelling.arm_joints import evenly_spaced, turning_angles
+from jaxmocap.silhouette.modelling.arm_surface import INNER_RINGS, SLICES
+from jaxmocap.silhouette.modelling.person import StanceError, person_model
+from jaxmocap.silhouette.modelling.pictures.drawing import closed_mesh, joined_meshes, volume
+from jaxmocap.silhouette.modelling.pictures.medial_axis import medial_axis, path, rim_distance
+from jaxmocap.silhouette.modelling.pictures.views import (
+    PAPER,
+    PhotographView,
+    spline_ring,
+    superellipse_ring,
+)
+from jaxmocap.silhouette.modelling.separation import find_landmarks
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import (
     PHOTOGRAPHS,

@@ -14,8 +14,9 @@ from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.modelling.arm_joints import ArmPixels, lifted_arms
-from jaxmocap.modelling.arm_surface import (
+from jaxmocap.pipelines.silhouettes.person import with_model
+from jaxmocap.silhouette.modelling.arm_joints import ArmPixels, lifted_arms
+from jaxmocap.silhouette.modelling.arm_surface import (
     ArmBones,
     arm_rings,
     arm_thickness,
@@ -23,14 +24,13 @@ from jaxmocap.modelling.arm_surface import (
     slice_stations,
     without_elbow_fold,
 )
-from jaxmocap.modelling.person import PersonModel, arm_on_axis
-from jaxmocap.modelling.personal import arm_angles, personal_model
-from jaxmocap.modelling.pictures.views import PhotographView
-from jaxmocap.modelling.separation import FrontLandmarks
-from jaxmocap.modelling.slices import BodySlices, fitted_grid
-from jaxmocap.modelling.thighs import Thighs, find_thighs
-from jaxmocap.modelling.trunk import RINGS, Trunk
-from jaxmocap.pipelines.silhouettes.person import with_model
+from jaxmocap.silhouette.modelling.person import PersonModel, arm_on_axis
+from jaxmocap.silhouette.modelling.personal import arm_angles, personal_model
+from jaxmocap.silhouette.modelling.pictures.views import PhotographView
+from jaxmocap.silhouette.modelling.separation import FrontLandmarks
+from jaxmocap.silhouette.modelling.slices import BodySlices, fitted_grid
+from jaxmocap.silhouette.modelling.thighs import Thighs, find_thighs
+from jaxmocap.silhouette.modelling.trunk import RINGS, Trunk
 from jaxmocap.synthetic.drawing_camera import look_at
 
 PLACED, FRAMES = jax.jit(landmarks), jax.jit(forward)

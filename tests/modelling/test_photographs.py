@@ -7,7 +7,7 @@ from photograph_masks import true_person_mask
 
 from bench.anthropometry import MeasuredPerson, tape_measure
 from jaxmocap.formats.cameras.calibration import read_calibration
-from jaxmocap.modelling.pictures.backdrop import PhotographError, person_mask
+from jaxmocap.silhouette.modelling.pictures.backdrop import PhotographError, person_mask
 from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import (

@@ -11,11 +11,11 @@ from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.mesh import atlas_of, mesh_of
 from jaxmocap.body.surfaces.surface import bones_over_time, nodes_over_time, rest_nodes
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.modelling.personal import PersonalModel
-from jaxmocap.modelling.pictures.medial_axis import rim_distance
-from jaxmocap.modelling.pictures.views import PhotographView
-from jaxmocap.modelling.texture.avatar import Avatar, avatar_of
-from jaxmocap.modelling.texture.fusion import (
+from jaxmocap.silhouette.modelling.personal import PersonalModel
+from jaxmocap.silhouette.modelling.pictures.medial_axis import rim_distance
+from jaxmocap.silhouette.modelling.pictures.views import PhotographView
+from jaxmocap.silhouette.modelling.texture.avatar import Avatar, avatar_of
+from jaxmocap.silhouette.modelling.texture.fusion import (
     closed_holes,
     feathered_weight,
     fused,
@@ -23,7 +23,7 @@ from jaxmocap.modelling.texture.fusion import (
     weighted_blur,
     wide_blend,
 )
-from jaxmocap.modelling.texture.texels import (
+from jaxmocap.silhouette.modelling.texture.texels import (
     NONE,
     nearest_points,
     splatted,

@@ -21,15 +21,15 @@ from jaxmocap.formats.cameras.calibration import camera_of, read_sections
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.files.writing import replacing, write_text
-from jaxmocap.modelling.measurements import girths
-from jaxmocap.modelling.person import PersonModel, StanceError, person_model
-from jaxmocap.modelling.personal import PersonalModel, personal_model
-from jaxmocap.modelling.pictures import drawing
-from jaxmocap.modelling.pictures.backdrop import PhotographError, person_mask
-from jaxmocap.modelling.pictures.drawing import joined_meshes
-from jaxmocap.modelling.pictures.medial_axis import medial_axis
-from jaxmocap.modelling.pictures.views import READINGS, PhotographView
 from jaxmocap.pipelines.silhouettes.person import PERSON_FILES, write_person
+from jaxmocap.silhouette.modelling.measurements import girths
+from jaxmocap.silhouette.modelling.person import PersonModel, StanceError, person_model
+from jaxmocap.silhouette.modelling.personal import PersonalModel, personal_model
+from jaxmocap.silhouette.modelling.pictures import drawing
+from jaxmocap.silhouette.modelling.pictures.backdrop import PhotographError, person_mask
+from jaxmocap.silhouette.modelling.pictures.drawing import joined_meshes
+from jaxmocap.silhouette.modelling.pictures.medial_axis import medial_axis
+from jaxmocap.silhouette.modelling.pictures.views import READINGS, PhotographView
 
 PHOTOGRAPHS = ("front", "side", "joint", "arm_side")
 FILES = ("model.npz", "report.json", "model.png")

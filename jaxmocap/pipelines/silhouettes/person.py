@@ -26,9 +26,9 @@ from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.recordings.subject import read_subject, write_subject
 from jaxmocap.formats.recordings.surface import check_surface_extent, load_surface, save_surface
-from jaxmocap.modelling.personal import PersonalModel
-from jaxmocap.modelling.pictures.views import PhotographView
-from jaxmocap.modelling.texture.avatar import avatar_of
+from jaxmocap.silhouette.modelling.personal import PersonalModel
+from jaxmocap.silhouette.modelling.pictures.views import PhotographView
+from jaxmocap.silhouette.modelling.texture.avatar import avatar_of
 
 # Bones, the body around them, its colours.
 SUBJECT = "subject.toml"

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.sparse.csgraph import dijkstra
 
-from jaxmocap.modelling.arm_surface import ArmBones
-from jaxmocap.modelling.pictures.medial_axis import MedialAxis, path
-from jaxmocap.modelling.pictures.views import PhotographView, Reading
-from jaxmocap.modelling.separation import FrontLandmarks, trunk_run
+from jaxmocap.silhouette.modelling.arm_surface import ArmBones
+from jaxmocap.silhouette.modelling.pictures.medial_axis import MedialAxis, path
+from jaxmocap.silhouette.modelling.pictures.views import PhotographView, Reading
+from jaxmocap.silhouette.modelling.separation import FrontLandmarks, trunk_run
 
 # Deviation of the blur over an axis, pixels.
 SMOOTH_PX = 4.0

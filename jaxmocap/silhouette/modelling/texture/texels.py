@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmocap.body.surfaces.mesh import Atlas, SurfaceMesh, normals_of
 from jaxmocap.body.surfaces.surface import Surface
-from jaxmocap.modelling.pictures.views import PhotographView
+from jaxmocap.silhouette.modelling.pictures.views import PhotographView
 
 
 class SurfacePhotograph(NamedTuple):

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from jaxmocap.modelling.pictures.views import PhotographView, Reading, slice_ring
-from jaxmocap.modelling.separation import FrontLandmarks
+from jaxmocap.silhouette.modelling.pictures.views import PhotographView, Reading, slice_ring
+from jaxmocap.silhouette.modelling.separation import FrontLandmarks
 
 # Rings of trunk, neck and head.
 RINGS = 72

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from jaxmocap.modelling.arm_surface import INNER_RINGS, SLICES
-from jaxmocap.modelling.person import PersonModel
+from jaxmocap.silhouette.modelling.arm_surface import INNER_RINGS, SLICES
+from jaxmocap.silhouette.modelling.person import PersonModel
 
 # Shares of the way from the bottom line to the arm pits: within them the chest is stoutest,
 CHEST = (0.75, 0.98)

@@ -20,9 +20,9 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import NECK_HEAD, TRUNK, scale_to_landmarks
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
-from jaxmocap.modelling.arm_surface import ArmBones, hand_extent
-from jaxmocap.modelling.person import SIDES, PersonModel, trunk_middle_at
-from jaxmocap.modelling.slices import BodySlices, fitted_grid, measured_slices, stoutness
+from jaxmocap.silhouette.modelling.arm_surface import ArmBones, hand_extent
+from jaxmocap.silhouette.modelling.person import SIDES, PersonModel, trunk_middle_at
+from jaxmocap.silhouette.modelling.slices import BodySlices, fitted_grid, measured_slices, stoutness
 
 # All of two people of measured joints, on whom nothing is tested; shares of the stature.
 # The hips' joints above the bottom line,

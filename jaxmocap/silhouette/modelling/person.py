@@ -12,19 +12,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.modelling.arm_joints import ArmPixels, arm_axis, arm_joints, lifted_arms
-from jaxmocap.modelling.arm_surface import (
+from jaxmocap.silhouette.modelling.arm_joints import ArmPixels, arm_axis, arm_joints, lifted_arms
+from jaxmocap.silhouette.modelling.arm_surface import (
     ArmBones,
     arm_rings,
     arm_thickness,
     hand_extent,
     without_elbow_fold,
 )
-from jaxmocap.modelling.pictures.medial_axis import medial_axis, rim_distance
-from jaxmocap.modelling.pictures.views import OWN, PhotographView, Reading
-from jaxmocap.modelling.separation import FrontLandmarks, find_landmarks, narrowest_neck
-from jaxmocap.modelling.thighs import Thighs, find_thighs
-from jaxmocap.modelling.trunk import Trunk, find_trunk
+from jaxmocap.silhouette.modelling.pictures.medial_axis import medial_axis, rim_distance
+from jaxmocap.silhouette.modelling.pictures.views import OWN, PhotographView, Reading
+from jaxmocap.silhouette.modelling.separation import FrontLandmarks, find_landmarks, narrowest_neck
+from jaxmocap.silhouette.modelling.thighs import Thighs, find_thighs
+from jaxmocap.silhouette.modelling.trunk import Trunk, find_trunk
 
 # Unit vectors of the world in which the person faces +x.
 AHEAD = np.array([1.0, 0.0, 0.0])

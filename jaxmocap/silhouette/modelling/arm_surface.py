@@ -14,8 +14,14 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from jaxmocap.body.surfaces.loft import BLEND
-from jaxmocap.modelling.pictures.views import OWN, STEP_M, PhotographView, Reading, slice_ring
-from jaxmocap.modelling.trunk import SMOOTHING_SLICES
+from jaxmocap.silhouette.modelling.pictures.views import (
+    OWN,
+    STEP_M,
+    PhotographView,
+    Reading,
+    slice_ring,
+)
+from jaxmocap.silhouette.modelling.trunk import SMOOTHING_SLICES
 
 # Slices of upper arm, forearm and hand.
 SLICES = (16, 16, 12)

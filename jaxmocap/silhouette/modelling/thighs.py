@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.modelling.pictures.views import PhotographView
-from jaxmocap.modelling.separation import FrontLandmarks, trunk_run
+from jaxmocap.silhouette.modelling.pictures.views import PhotographView
+from jaxmocap.silhouette.modelling.separation import FrontLandmarks, trunk_run
 
 # Slices from the crotch to the image's lower edge.
 SLICES = 12

@@ -13,10 +13,10 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.mesh import MARGIN, Atlas, SurfaceMesh, atlas_of, mesh_of
 from jaxmocap.body.surfaces.surface import Surface, bones_over_time, nodes_over_time, rest_nodes
-from jaxmocap.modelling.personal import PersonalModel
-from jaxmocap.modelling.pictures.medial_axis import rim_distance
-from jaxmocap.modelling.pictures.views import PhotographView
-from jaxmocap.modelling.texture.fusion import (
+from jaxmocap.silhouette.modelling.personal import PersonalModel
+from jaxmocap.silhouette.modelling.pictures.medial_axis import rim_distance
+from jaxmocap.silhouette.modelling.pictures.views import PhotographView
+from jaxmocap.silhouette.modelling.texture.fusion import (
     background_colour,
     closed_holes,
     feathered_weight,
@@ -27,7 +27,7 @@ from jaxmocap.modelling.texture.fusion import (
     weighted_blur,
     wide_blend,
 )
-from jaxmocap.modelling.texture.texels import (
+from jaxmocap.silhouette.modelling.texture.texels import (
     SurfacePhotograph,
     Texels,
     splatted,
