@@ -26,7 +26,6 @@ ROOMS = (
     "smoothing",
     "hybrid",
     "silhouette",
-    "fitting",
     "formats",
     "capture",
     "calibration",

@@ -12,8 +12,8 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.cli.program import main
-from jaxmocap.fitting.retarget import feet, grounded, retargeted
 from jaxmocap.formats.motion_npz import load_motion, save_motion
+from jaxmocap.pipelines.retarget import feet, grounded, retargeted
 
 PERSON = Skeleton.human(1.75)
 TIMES = np.arange(50) / 30

@@ -10,10 +10,8 @@ from conftest import double
 from scipy.optimize import approx_fprime
 
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS
-from jaxmocap.cli.program import main
-from jaxmocap.cli.setup import plan
-from jaxmocap.fitting.camera_plan.expected import of_markers
-from jaxmocap.fitting.camera_plan.placement import (
+from jaxmocap.calibration.fitting.camera_plan.expected import of_markers
+from jaxmocap.calibration.fitting.camera_plan.placement import (
     Bounds,
     CameraPlace,
     Frame,
@@ -27,6 +25,8 @@ from jaxmocap.fitting.camera_plan.placement import (
     mean_deviation,
     penalty,
 )
+from jaxmocap.cli.program import main
+from jaxmocap.cli.setup import plan
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.cameras import Camera, camera_of_fov
 from jaxmocap.hybrid.settings import Settings

@@ -24,9 +24,9 @@ from jaxmocap.body.proportions import (
     scaled,
 )
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.calibration.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.cli.program import main
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, project_limbs
-from jaxmocap.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.recordings.subject import read_subject, write_subject
 from jaxmocap.formats.time_series.trc import write_trc

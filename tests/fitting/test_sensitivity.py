@@ -27,9 +27,9 @@ from painted_motion import (
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
+from jaxmocap.calibration.fitting import sensitivity
+from jaxmocap.calibration.fitting.sensitivity import Sensitivity
 from jaxmocap.evidence.silhouettes import project_limbs
-from jaxmocap.fitting import sensitivity
-from jaxmocap.fitting.sensitivity import Sensitivity
 from jaxmocap.geometry.outlines import Discs, touch
 from jaxmocap.geometry.rotations import exp
 from jaxmocap.images.silhouette_grid import cells

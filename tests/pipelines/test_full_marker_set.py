@@ -12,7 +12,7 @@ from jaxmocap.body.kinematics import forward, landmarks, site_positions
 from jaxmocap.body.model import marker_sites
 from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.fitting.marker_poses import FIT_POSES, TAILS
+from jaxmocap.calibration.fitting.marker_poses import FIT_POSES, TAILS
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc

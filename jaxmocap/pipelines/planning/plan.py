@@ -13,8 +13,8 @@ import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
 from jaxmocap.body.subject import skeleton_stature
-from jaxmocap.fitting.camera_plan.expected import Information, of_markers, with_camera
-from jaxmocap.fitting.camera_plan.placement import (
+from jaxmocap.calibration.fitting.camera_plan.expected import Information, of_markers, with_camera
+from jaxmocap.calibration.fitting.camera_plan.placement import (
     Goal,
     best_place,
     camera_at,

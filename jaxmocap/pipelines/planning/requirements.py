@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.fitting.camera_plan import placement
-from jaxmocap.fitting.camera_plan.placement import Bounds, CameraPlace
+from jaxmocap.calibration.fitting.camera_plan import placement
+from jaxmocap.calibration.fitting.camera_plan.placement import Bounds, CameraPlace
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.cameras import Camera, camera_of_fov
 

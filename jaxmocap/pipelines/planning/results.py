@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxmocap.calibration.fitting.camera_plan.placement import BestPlace, Bounds, CameraPlace, Ring
 from jaxmocap.evaluation.floor_plan import FloorPlan, PlacedCamera
-from jaxmocap.fitting.camera_plan.placement import BestPlace, Bounds, CameraPlace, Ring
 
 
 class CameraPlan(NamedTuple):

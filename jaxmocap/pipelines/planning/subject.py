@@ -16,7 +16,7 @@ from jaxmocap.body.kinematics import Sites, forward, joined_sites, landmark_site
 from jaxmocap.body.model import Model, marker_sites, on_unmarked_feet
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, WINTER, Skeleton
-from jaxmocap.fitting.camera_plan.expected import Movement
+from jaxmocap.calibration.fitting.camera_plan.expected import Movement
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording
 from jaxmocap.geometry.cameras import Camera

@@ -15,11 +15,11 @@ import numpy as np
 from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import Skeleton, scale_to_height, with_wrists
 from jaxmocap.body.subject import skeleton_stature
+from jaxmocap.calibration.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.capture.footage import cached_frames, forward_readers
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evaluation.interval_plot import plot_intervals
 from jaxmocap.evidence.appearance.learned import ROWS
-from jaxmocap.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.recordings.subject import write_subject
 from jaxmocap.pipelines.progress import Progress, progress_bar

@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxmocap.body.proportions import GIRTHS, LENGTHS
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.calibration.fitting.lengths import LengthsFit
 from jaxmocap.evaluation.interval_plot import Interval
-from jaxmocap.fitting.lengths import LengthsFit
 
 # A length is determined where its standard deviation given the recording is at most this share of
 # that among people of the stated body.

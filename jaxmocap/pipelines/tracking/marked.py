@@ -17,14 +17,14 @@ import numpy as np
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
-from jaxmocap.compilation.batches import in_batches
-from jaxmocap.fitting.marker_fit import (
+from jaxmocap.calibration.fitting.marker_fit import (
     FIT_PERSON,
     LANDMARK_VARIANCES,
     fitted_model,
     usual_covariance,
 )
-from jaxmocap.fitting.marker_poses import FAR_TAILS, FIT_POSES, TAILS, PosesFit
+from jaxmocap.calibration.fitting.marker_poses import FAR_TAILS, FIT_POSES, TAILS, PosesFit
+from jaxmocap.compilation.batches import in_batches
 from jaxmocap.formats.marker_sets.sets import determine_body
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.refine import StepReport

@@ -22,9 +22,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.model import Model
-from jaxmocap.compilation.batches import in_batches
-from jaxmocap.evidence.smoothness import Smoothness
-from jaxmocap.fitting.sensitivity_batches import (
+from jaxmocap.calibration.fitting.sensitivity_batches import (
     frames_backwards,
     frames_forwards,
     frames_landmarks,
@@ -33,6 +31,8 @@ from jaxmocap.fitting.sensitivity_batches import (
     views_forwards,
     views_slopes,
 )
+from jaxmocap.compilation.batches import in_batches
+from jaxmocap.evidence.smoothness import Smoothness
 from jaxmocap.smoothing.levenberg_marquardt import Linearised, normal_equations, positive
 from jaxmocap.smoothing.linearise import rows_of, softened, views_of
 from jaxmocap.smoothing.problem import (

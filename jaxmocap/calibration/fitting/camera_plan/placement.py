@@ -19,7 +19,11 @@ from jax import Array
 from scipy.optimize import minimize
 
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.fitting.camera_plan.expected import Information, expected_deviations, with_camera
+from jaxmocap.calibration.fitting.camera_plan.expected import (
+    Information,
+    expected_deviations,
+    with_camera,
+)
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.smoothing.settings import SmoothingSettings
 

@@ -21,8 +21,7 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.proportions import LENGTHS, covariance_among_people, scaled
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.compilation.programs import Program
-from jaxmocap.fitting.marker_poses import (
+from jaxmocap.calibration.fitting.marker_poses import (
     TAILS,
     LinearMarkers,
     damped,
@@ -32,6 +31,7 @@ from jaxmocap.fitting.marker_poses import (
     pose_equations,
     solved,
 )
+from jaxmocap.compilation.programs import Program
 from jaxmocap.geometry.rotations import HIGHEST
 
 # Standard deviation, each way, of where a set's marker sits on a person, metres.
