@@ -100,18 +100,14 @@ FARTHEST_TURN_DEG = 75.0
 TURN_SPACING_DEG = 10.0
 
 
-def forearm_turns(
-    farthest: float = FARTHEST_TURN_DEG, spacing: float = TURN_SPACING_DEG
-) -> np.ndarray:
-    """Rotation vectors (K, 3), radians, about x and y of the forearm: a hexagonal grid.
-
-    ``farthest`` from no turn and ``spacing`` between neighbours are degrees.
-    """
-    reach = int(farthest / (spacing * np.sqrt(0.75))) + 1
+def forearm_turns() -> np.ndarray:
+    """Rotation vectors (K, 3), radians, about x and y of the forearm: a hexagonal grid."""
+    spacing = TURN_SPACING_DEG
+    reach = int(FARTHEST_TURN_DEG / (spacing * np.sqrt(0.75))) + 1
     rows, columns = np.meshgrid(np.arange(-reach, reach + 1), np.arange(-2 * reach, 2 * reach + 1))
     x = (columns + 0.5 * (rows % 2)) * spacing
     y = rows * spacing * np.sqrt(0.75)
-    kept = np.hypot(x, y) <= farthest
+    kept = np.hypot(x, y) <= FARTHEST_TURN_DEG
     flat = np.stack([x[kept], y[kept], np.zeros(kept.sum())], 1)
     return np.radians(flat)
 

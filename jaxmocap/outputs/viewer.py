@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 # Samples of a motion in a recording, at most: 50 minutes at 30 Hz.
 MOST_SAMPLES = 90_000
+# Of images, 1 to 100.
+JPEG_QUALITY = 75
 # Samples that the viewer's library takes at once: it needs twenty times what they are in the file.
 SAMPLES_AT_ONCE = 1024
 
@@ -54,7 +56,6 @@ def write_rerun(
     motion: Motion,
     footage: Mapping[str, Footage] | None = None,
     targets: Mapping[str, np.ndarray] | None = None,
-    jpeg_quality: int = 75,
     surface: Surface | None = None,
     picture: np.ndarray | None = None,
 ) -> None:
@@ -68,7 +69,6 @@ def write_rerun(
         motion: shown as a body on a floor; with a report also time series and standard deviations.
         footage: camera name -> its frames.
         targets: marker -> (T, 3) measured positions at the motion's times, world, metres.
-        jpeg_quality: of the images, 1 to 100.
         surface: of the body, shown in place of a generic one.
         picture: the surface's colours, as for ``log_skin``.
 
@@ -102,7 +102,7 @@ def write_rerun(
         if motion.report is not None:
             recorder.log_report(stream, scene.times, motion.report)
         for name, shot in footage.items():
-            _log_footage(stream, name, shot, scene, uncertainty, targets, jpeg_quality)
+            _log_footage(stream, name, shot, scene, uncertainty, targets)
 
 
 def _log_footage(
@@ -112,13 +112,12 @@ def _log_footage(
     scene: BodyScene,
     uncertainty: Uncertainty | None,
     targets: Mapping[str, np.ndarray],
-    jpeg_quality: int,
 ) -> None:
     """One camera: its images, the body, ellipses and markers over them, its fields."""
     from jaxmocap.outputs import camera_recorder
 
     camera_recorder.log_camera(stream, name, shot.camera)
-    times = camera_recorder.log_images(stream, name, shot.frames, jpeg_quality)
+    times = camera_recorder.log_images(stream, name, shot.frames, JPEG_QUALITY)
     camera_recorder.log_outlines(stream, name, shot.camera, scene, times)
     if uncertainty is not None:
         camera_recorder.log_ellipses(stream, name, shot.camera, uncertainty, times)

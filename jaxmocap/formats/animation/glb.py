@@ -81,11 +81,11 @@ class BinaryChunk:
         self.parts[self.size] = data
         return self._add_view(len(data))
 
-    def reserve(self, shape: tuple[int, ...], dtype: str = "<f4") -> tuple[int, int]:
-        """Room for an array that comes later: its accessor's index, and where it begins."""
+    def reserve(self, shape: tuple[int, ...]) -> tuple[int, int]:
+        """Room for float32 numbers that come later: their accessor's index, and their place."""
         start = self.size
-        view = self._add_view(math.prod(shape) * np.dtype(dtype).itemsize)
-        return self._add_accessor(view, shape, dtype, {}), start
+        view = self._add_view(4 * math.prod(shape))
+        return self._add_accessor(view, shape, "<f4", {}), start
 
     def _add_view(self, length: int) -> int:
         self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": length})

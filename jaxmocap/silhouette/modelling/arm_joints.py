@@ -123,12 +123,12 @@ def _rim(corner: np.ndarray, near: np.ndarray, far: np.ndarray, distance: np.nda
     return steps[np.argmin(inside)] * away
 
 
-def evenly_spaced(points: np.ndarray, spacing: float = 1.0) -> np.ndarray:
-    """(N, 2) points so far apart along a path through (M, 2) points."""
+def evenly_spaced(points: np.ndarray) -> np.ndarray:
+    """(N, 2) points 1 apart along a path through (M, 2) points."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     way = np.append(0.0, np.cumsum(steps))
     kept = np.append(True, steps > 0)
-    places = np.arange(0.0, way[-1], spacing)
+    places = np.arange(0.0, way[-1])
     return np.stack([np.interp(places, way[kept], line[kept]) for line in points.T], 1)
 
 

@@ -55,6 +55,8 @@ POINT = (255, 0, 255)
 # Digits after the point in OpenCV's fixed-point coordinates.
 BITS = 4
 SKIN_BGR = np.array([150.0, 175.0, 215.0])
+# Of a mesh's picture, pixels.
+MESH_WIDTH = 900
 
 
 def outlined(photograph: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -81,21 +83,21 @@ def with_points(picture: np.ndarray, points: np.ndarray) -> np.ndarray:
     return picture
 
 
-def shaded(vertices: np.ndarray, faces: np.ndarray, turn: float, width: int = 900) -> np.ndarray:
+def shaded(vertices: np.ndarray, faces: np.ndarray, turn: float) -> np.ndarray:
     """A mesh (V, 3), (F, 3) from afar, z up: +x towards the viewer, who goes round by ``turn``."""
     cosine, sine = np.cos(turn), np.sin(turn)
     towards = np.array([cosine, sine, 0.0])
     projected = vertices @ np.stack([[-sine, cosine, 0.0], [0.0, 0.0, -1.0]], 1)
     low, high = projected.min(0), projected.max(0)
-    scale = 0.94 * width / max(high[0] - low[0], 1.0)
+    scale = 0.94 * MESH_WIDTH / max(high[0] - low[0], 1.0)
     height = int(1.08 * scale * (high[1] - low[1]))
-    pixels = (projected - (low + high) / 2) * scale + np.array([width, height]) / 2
+    pixels = (projected - (low + high) / 2) * scale + np.array([MESH_WIDTH, height]) / 2
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
     lamp = towards + np.array([-0.6 * sine, 0.6 * cosine, 0.7])
     light = 0.35 + 0.65 * np.maximum(normals @ lamp / np.linalg.norm(lamp), 0)
-    picture = np.full((height, width, 3), 245, np.uint8)
+    picture = np.full((height, MESH_WIDTH, 3), 245, np.uint8)
     facing = np.flatnonzero(normals @ towards > 0)
     fixed = np.rint(pixels * 2**BITS).astype(np.int32)
     for face in facing[np.argsort(corners[facing].mean(1) @ towards, kind="stable")]:
