@@ -58,7 +58,7 @@ def summarise(motion: Motion) -> dict:
 def misfit(motion: Motion, least: float = OFF_M) -> str | None:
     """A warning that the body is far off a marker in half of the samples; None if it is not.
 
-    Beyond ``least`` metres the motion is not that of the person recorded.
+    ``least`` is in metres; beyond ``MISFIT_M`` the motion is not that of the person recorded.
     """
     if (report := motion.report) is None:
         return None
