@@ -21,7 +21,7 @@ from bench.command_line import command, seeds
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, ModelResult, model_from
 from jaxmocap.silhouette.modelling.arm_surface import INNER_RINGS, SLICES
-from jaxmocap.silhouette.modelling.pictures.views import READINGS
+from jaxmocap.silhouette.modelling.readings import READINGS
 from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig
 from jaxmocap.synthetic.photographs import person_in_stance, write_photographs
 

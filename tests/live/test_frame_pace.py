@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxmocap.pipelines.live.stream_states import LONGEST_WAIT_S, MOST_BUSY, FramePace
+from jaxmocap.pipelines.live.frame_pace import LONGEST_WAIT_S, MOST_BUSY, FramePace
 
 FPS, SECONDS = 30, 10
 

@@ -17,12 +17,8 @@ from jaxmocap.silhouette.modelling.arm_surface import INNER_RINGS, SLICES
 from jaxmocap.silhouette.modelling.person import StanceError, person_model
 from jaxmocap.silhouette.modelling.pictures.drawing import closed_mesh, joined_meshes, volume
 from jaxmocap.silhouette.modelling.pictures.medial_axis import medial_axis, path, rim_distance
-from jaxmocap.silhouette.modelling.pictures.views import (
-    PAPER,
-    PhotographView,
-    spline_ring,
-    superellipse_ring,
-)
+from jaxmocap.silhouette.modelling.pictures.views import PhotographView
+from jaxmocap.silhouette.modelling.readings import PAPER, spline_ring, superellipse_ring
 from jaxmocap.silhouette.modelling.separation import find_landmarks
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import (

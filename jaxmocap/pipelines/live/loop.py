@@ -33,10 +33,11 @@ from jaxmocap.formats.recordings.marker_places import MarkerPlace, bone_point_bi
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.senders.osc import DatagramSender
 from jaxmocap.outputs.senders.unity import UnityBody
+from jaxmocap.pipelines.live.frame_pace import FramePace
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.setup import LiveSetup
 from jaxmocap.pipelines.live.status import LiveStatus
-from jaxmocap.pipelines.live.stream_states import SILENT_S, FramePace, stream_states, tenfold
+from jaxmocap.pipelines.live.stream_states import SILENT_S, stream_states, tenfold
 from jaxmocap.pipelines.live.tracking import LiveTracking, Output
 
 # Fewer samples beyond reach are worth no line.

@@ -1,11 +1,10 @@
-"""The states of a live run's streams, and how many video frames are tracked where time is short.
+"""The states of a live run's streams.
 
 INPUTS: the streams. OUTPUTS: (subject, state) pairs, as ``LiveStatus.set_state`` takes them.
 
 A count changes its state at every tenfold, not at every packet. Names are shortened and printable.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 
 from jaxmocap.capture.streams.cameras import LiveCamera
@@ -13,35 +12,6 @@ from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.source import MarkerSource
 from jaxmocap.formats.files.errors import comma_list, short_name
 from jaxmocap.formats.recordings.marker_places import MarkerPlace
-
-# Share of the time that tracking may take, so that the threads that receive find some as well.
-MOST_BUSY = 0.85
-# Seconds of work beyond that share with which no frame is taken: about what one takes. More than so
-# many times that is forgotten, as after a second of compiling.
-MOST_BEHIND_S, FORGOTTEN = 0.03, 4
-# Seconds after which a frame is taken all the same.
-LONGEST_WAIT_S = 0.1
-
-
-class FramePace:
-    """Seconds of work that were taken beyond ``MOST_BUSY`` of those that passed."""
-
-    def __init__(self) -> None:
-        self._behind, self._last_frame = 0.0, -math.inf
-
-    def spent(self, worked: float, passed: float) -> None:
-        """Count seconds of work among so many that passed."""
-        behind = self._behind + worked - MOST_BUSY * passed
-        self._behind = min(max(behind, 0.0), FORGOTTEN * MOST_BEHIND_S)
-
-    def took_frame(self, now: float) -> None:
-        """Count a frame, taken at that second."""
-        self._last_frame = now
-
-    def is_due(self, now: float) -> bool:
-        """Whether a frame is to be taken at that second."""
-        return self._behind < MOST_BEHIND_S or now - self._last_frame >= LONGEST_WAIT_S
-
 
 # A stream that received nothing for so many seconds is silent; no pose is sent then.
 SILENT_S = 0.3

@@ -29,7 +29,8 @@ from jaxmocap.silhouette.modelling.pictures import drawing
 from jaxmocap.silhouette.modelling.pictures.backdrop import PhotographError, person_mask
 from jaxmocap.silhouette.modelling.pictures.drawing import joined_meshes
 from jaxmocap.silhouette.modelling.pictures.medial_axis import medial_axis
-from jaxmocap.silhouette.modelling.pictures.views import READINGS, PhotographView
+from jaxmocap.silhouette.modelling.pictures.views import PhotographView
+from jaxmocap.silhouette.modelling.readings import READINGS
 
 PHOTOGRAPHS = ("front", "side", "joint", "arm_side")
 FILES = ("model.npz", "report.json", "model.png")

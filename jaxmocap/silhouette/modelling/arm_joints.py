@@ -16,7 +16,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxmocap.silhouette.modelling.arm_surface import ArmBones
 from jaxmocap.silhouette.modelling.pictures.medial_axis import MedialAxis, path
-from jaxmocap.silhouette.modelling.pictures.views import PhotographView, Reading
+from jaxmocap.silhouette.modelling.pictures.views import PhotographView
+from jaxmocap.silhouette.modelling.readings import Reading
 from jaxmocap.silhouette.modelling.separation import FrontLandmarks, trunk_run
 
 # Deviation of the blur over an axis, pixels.

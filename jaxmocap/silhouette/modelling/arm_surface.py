@@ -14,13 +14,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from jaxmocap.body.surfaces.loft import BLEND
-from jaxmocap.silhouette.modelling.pictures.views import (
-    OWN,
-    STEP_M,
-    PhotographView,
-    Reading,
-    slice_ring,
-)
+from jaxmocap.silhouette.modelling.pictures.views import STEP_M, PhotographView
+from jaxmocap.silhouette.modelling.readings import OWN, Reading, slice_ring
 from jaxmocap.silhouette.modelling.trunk import SMOOTHING_SLICES
 
 # Slices of upper arm, forearm and hand.

@@ -21,7 +21,8 @@ from jaxmocap.silhouette.modelling.arm_surface import (
     without_elbow_fold,
 )
 from jaxmocap.silhouette.modelling.pictures.medial_axis import medial_axis, rim_distance
-from jaxmocap.silhouette.modelling.pictures.views import OWN, PhotographView, Reading
+from jaxmocap.silhouette.modelling.pictures.views import PhotographView
+from jaxmocap.silhouette.modelling.readings import OWN, Reading
 from jaxmocap.silhouette.modelling.separation import FrontLandmarks, find_landmarks, narrowest_neck
 from jaxmocap.silhouette.modelling.thighs import Thighs, find_thighs
 from jaxmocap.silhouette.modelling.trunk import Trunk, find_trunk

@@ -17,7 +17,7 @@ from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.silhouette.modelling.arm_surface import INNER_RINGS, hand_extent, slice_positions
 from jaxmocap.silhouette.modelling.person import SIDES, PersonModel
-from jaxmocap.silhouette.modelling.pictures.views import superellipse_ring
+from jaxmocap.silhouette.modelling.readings import superellipse_ring
 
 # From here on along an arm (0 the shoulder, 1 the elbow) slices are as they were measured; nearer
 # to the shoulder they run into the trunk.

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from jaxmocap.silhouette.modelling.pictures.views import PhotographView, Reading, slice_ring
+from jaxmocap.silhouette.modelling.pictures.views import PhotographView
+from jaxmocap.silhouette.modelling.readings import Reading, slice_ring
 from jaxmocap.silhouette.modelling.separation import FrontLandmarks
 
 # Rings of trunk, neck and head.
