@@ -9,7 +9,6 @@ Background; or, for a live run, a RunningBackground, which uses earlier frames a
 """
 
 from dataclasses import dataclass, field, fields
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -188,28 +187,16 @@ def regained(frame: np.ndarray, gains: np.ndarray | None) -> np.ndarray:
     return cv2.LUT(frame, np.clip(np.rint(levels), 0, 255).astype(np.uint8))
 
 
-class Exposure(NamedTuple):
-    """How a frame was exposed against a background.
+def exposure(frame: np.ndarray, background: Background) -> tuple[np.ndarray | None, float]:
+    """A frame's (h, w, 3) uint8 gains (3,) against a background, and how far it can be that room.
 
-    Attributes:
-        gains: (3,) of the channels; None where they cannot be read.
-        agreement: how far it can be that room at all: 0 to 1.
-    """
-
-    gains: np.ndarray | None
-    agreement: float
-
-
-def exposure(frame: np.ndarray, background: Background) -> Exposure:
-    """How a frame (h, w, 3) uint8 was exposed.
-
-    A black frame, a moved camera or a cut to something else agrees with the background hardly
-    anywhere: nothing then follows from a difference.
+    None and 0 where the gains cannot be read. A black frame, a moved camera or a cut to something
+    else agrees with the background hardly anywhere: nothing then follows from a difference.
     """
     return _exposure(frame, background.part(exposure_sample(frame)))
 
 
-def _exposure(frame: np.ndarray, few: Background) -> Exposure:
+def _exposure(frame: np.ndarray, few: Background) -> tuple[np.ndarray | None, float]:
     """``exposure`` by the background at every so many pixels."""
     sure = np.flatnonzero(few.certainty > 0.5)
     some = frame[exposure_sample(frame)].reshape(-1, 3), few.colour.reshape(-1, 3)
@@ -217,11 +204,11 @@ def _exposure(frame: np.ndarray, few: Background) -> Exposure:
     pixels, expected = (each[sure].T.astype(np.float32, order="C") for each in some)
     gains = gain(pixels, expected)
     if gains is None:
-        return Exposure(None, 0.0)
+        return None, 0.0
     away = np.abs(pixels / gains[:, None].astype(np.float32) - expected).max(0)
     agreeing = float((away < 3 * few.noise.ravel()[sure]).mean())
     low, high = AGREEING
-    return Exposure(gains, float(np.clip((agreeing - low) / (high - low), 0, 1)))
+    return gains, float(np.clip((agreeing - low) / (high - low), 0, 1))
 
 
 @dataclass
