@@ -122,7 +122,8 @@ def _layers(
         return (kept, jnp.zeros_like(uniform_share)), (angles, gains, scores)
 
     dtype = particles.dtype
-    spreads, temperatures = (jnp.asarray(part, dtype) for part in settings[1:3])
+    spreads = jnp.asarray(settings.spreads, dtype)
+    temperatures = jnp.asarray(settings.inverse_temperatures, dtype)
     keys = jax.random.split(key, len(spreads))
     carry = particles, jnp.asarray(settings.uniform_share, dtype)
     (left, _), layers = jax.lax.scan(layer, carry, (keys, spreads, temperatures))
