@@ -240,4 +240,4 @@ def _over(call: Callable, fixed: tuple[Any, ...], each: tuple[Any, ...]) -> list
     fixed = jax.tree.map(jnp.asarray, fixed)
     dtype = np.asarray(jax.tree.leaves(each)[0]).dtype
     each = jax.tree.map(lambda part: np.asarray(part, dtype), each)
-    return in_batches(lambda *batch: call(*fixed, *batch), each, A_CALL)
+    return in_batches(lambda *batch: call(fixed, batch), each, A_CALL)
