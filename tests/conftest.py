@@ -4,7 +4,7 @@ import ctypes
 import gc
 import os
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 
@@ -32,10 +32,14 @@ from hypothesis.extra.numpy import arrays
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.compilation.programs import EFFORTS
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines.kept_programs import keep_compiled
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+# But for those that go through pictures and many candidates: a little of it makes them run in a
+# quarter of the time.
+EFFORTS["full"] = {"xla_backend_optimization_level": 1}
 # Tracing makes many objects that stay: to go through all of them again and again takes a tenth of
 # its time.
 gc.set_threshold(200_000, 20, 100)
@@ -84,14 +88,21 @@ def programs_let_go():
                 ctypes.CDLL(None).malloc_trim(0)
 
 
-# What takes longest comes first, so that workers end together (with --no-loadscope-reorder: xdist
-# would begin with files of many tests, however short they are).
-LONGEST_FILES = ("test_functions.py", "test_markers_alone.py")
+# Rooms in order of what their tests take; all others follow.
+LONGEST_ROOMS = ("hybrid", "silhouette", "smoothing", "pipelines", "evidence", "cli")
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Files in order of what they take."""
-    items.sort(key=lambda item: item.path.name not in LONGEST_FILES)
+    """With ``--dist loadgroup`` a room's tests, which share programs, go to one worker.
+
+    What takes longest comes first, so that workers end together (with --no-loadscope-reorder: xdist
+    would begin with rooms of many tests, however short they are).
+    """
+    order = {name: place for place, name in enumerate(LONGEST_ROOMS)}
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group(item.path.parent.name))
+    items.sort(key=lambda item: order.get(item.path.parent.name, len(order)))
 
 
 def complaint(read, *arguments, **options) -> str:
@@ -110,6 +121,18 @@ def problem_of(read, path: Path) -> str:
     text = complaint(read, path)
     assert text.startswith(f"{path}: ")
     return text.removeprefix(f"{path}: ")
+
+
+@contextmanager
+def disk_full_at(size: int):
+    """No file may grow beyond so many bytes, which a program sees as it sees a full disk."""
+    resource = pytest.importorskip("resource", reason="this system has no limits of file sizes")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def vectors(n: int, largest: float = 1.0):

@@ -66,19 +66,14 @@ def test_track_prints_figures_as_json_and_the_summary_beside_them(tracked):
         assert text in stderr
 
 
-def test_track_names_the_hands_that_are_exchanged(recordings, tmp_path):
-    person = recordings / "people" / "person_01"
-    text = (person / "recording_straight_three_height.toml").read_text()
-    text = text.replace("LWrist =", "Left =").replace("RWrist =", "LWrist =")
-    text = text.replace("Left =", "RWrist =")
-    text = text.replace("straight.trc", str(person / "straight.trc"))
-    (tmp_path / "recording.toml").write_text(text)
-    exchanged = tmp_path / "figures.json"
-    given = [str(tmp_path / "recording.toml"), "--out", str(tmp_path / "out")]
-    assert main(["track", *given, "--json", str(exchanged)]) == 0
-    warnings = json.loads(exchanged.read_text())["warnings"]
-    says = "% of the way is walked backwards; left and right are exchanged"
-    assert any(says in warning for warning in warnings)
+def test_track_names_markers_that_are_exchanged(folder, tmp_path):
+    markers, figures = folder / "markers.trc", tmp_path / "figures.json"
+    text = markers.read_text().replace("Head", "Other").replace("LWrist", "Head")
+    markers.write_text(text.replace("Other", "LWrist"))
+    given = [str(folder / "recording.toml"), "--out", str(tmp_path / "tracked")]
+    assert main(["track", *given, "--json", str(figures)]) == 0
+    says = "[markers.on] Head and LWrist: LWrist is above"
+    assert any(says in warning for warning in json.loads(figures.read_text())["warnings"])
 
 
 def test_evaluate_compares_with_a_reference_by_time_stamp(tracked, capsys, tmp_path):

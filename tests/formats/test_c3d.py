@@ -2,19 +2,18 @@
 
 import os
 import struct
-import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 
 import ezc3d
 import numpy as np
 import pytest
-from conftest import problem_of
+from conftest import disk_full_at, problem_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series import c3d
@@ -206,29 +205,17 @@ def test_what_is_no_file_is_refused_before_anything_is_read(tmp_path, kind):
     )
 
 
-# From here on nothing more can be written to a file than so many bytes.
-FULL = """
-import resource, sys
-from jaxmocap.cli.program import main
-most = int(sys.argv[1])
-resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-sys.exit(main(["convert", *sys.argv[2:]]))
-"""
-
-
 @pytest.mark.parametrize("most", [100, 3000, 30_000])
-def test_a_full_disk_leaves_an_earlier_file_as_it_was(tmp_path, most):
+def test_a_full_disk_leaves_an_earlier_file_as_it_was(tmp_path, capsys, most):
     """ezc3d itself says nothing of it, and leaves half a file."""
-    pytest.importorskip("resource", reason="this system has no limits of file sizes")
     markers = Markers(np.arange(400) / 100, tuple("abcde"), np.ones((400, 5, 3)))
     write_csv(tmp_path / "a.csv", markers.times, markers.points())
     earlier = foreign(tmp_path / "b.c3d", np.ones((4, 1, 2))).read_bytes()
-    done = subprocess.run(
-        [sys.executable, "-c", FULL, str(most), tmp_path / "a.csv", tmp_path / "b.c3d"],
-        capture_output=True, text=True,
-    )  # fmt: skip
-    assert done.returncode == 1 and done.stdout == ""
+    with disk_full_at(most):
+        assert main(["convert", str(tmp_path / "a.csv"), str(tmp_path / "b.c3d")]) == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
     problem = "cannot be written completely, is the disk full?"
-    assert done.stderr == f"jaxmocap convert: {tmp_path / 'b.c3d'}: {problem}\n"
+    assert printed.err == f"jaxmocap convert: {tmp_path / 'b.c3d'}: {problem}\n"
     assert (tmp_path / "b.c3d").read_bytes() == earlier
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv", "b.c3d"]

@@ -7,7 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import disk_full_at
 
+from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError, OutputError
 from jaxmocap.formats.files.output_folder import LIST_NAME, OutputFolder, read_list
 from jaxmocap.formats.files.writing import check_target, replacing, temporary_beside, write_text
@@ -219,24 +221,15 @@ def test_what_is_read_is_not_written(tmp_path):
             check_target(tmp_path / name, [tmp_path / "a.trc"])
 
 
-FULL = """
-import resource, sys
-from jaxmocap.cli.program import main
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), resource.RLIM_INFINITY))
-sys.exit(main(sys.argv[2:]))
-"""
-
-
-def test_a_full_disk_is_one_sentence_exit_code_1_and_the_file_as_it_was(tmp_path):
+def test_a_full_disk_is_one_sentence_exit_code_1_and_the_file_as_it_was(tmp_path, capsys):
     subject = tmp_path / "subject.toml"
-    command = ["scale", "--height", "1.80", "--out", str(subject)]
-    run = [sys.executable, "-c", FULL]
-    subprocess.run([*run, "1000000", *command], check=True, capture_output=True)
+    assert main(["scale", "--height", "1.80", "--out", str(subject)]) == 0
     before = subject.read_bytes()
-    command[2] = "1.70"
-    done = subprocess.run([*run, "100", *command], capture_output=True, text=True)
-    assert done.returncode == 1
-    assert done.stderr == f"jaxmocap scale: {subject}: cannot be written (File too large)\n"
+    capsys.readouterr()
+    with disk_full_at(100):
+        assert main(["scale", "--height", "1.70", "--out", str(subject)]) == 1
+    problem = f"jaxmocap scale: {subject}: cannot be written (File too large)\n"
+    assert capsys.readouterr().err == problem
     assert subject.read_bytes() == before and list(tmp_path.iterdir()) == [subject]
 
 

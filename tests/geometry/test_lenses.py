@@ -73,6 +73,20 @@ def test_float32_is_a_thousandth_of_a_pixel():
     assert np.abs(pixels - expected).max() < 1e-3
 
 
+@jax.jit
+def shown_at(one, point):
+    """A point's pixel, its Jacobian, and the gradients of both."""
+    both = cameras.project, cameras.projection_jacobian
+    values = [function(one, point) for function in both]
+    return values, [jax.jacrev(function, argnums=(0, 1))(one, point) for function in both]
+
+
+@jax.jit
+def ray_of(one, pixel):
+    """The ray through a pixel, and its gradient."""
+    return cameras.pixel_rays(one, pixel), jax.jacrev(cameras.pixel_rays, 1)(one, pixel)
+
+
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("depth", [-3.0, 0.0, 1e-6, 0.05, 2.0])
 @pytest.mark.parametrize("aside", [0.0, 0.4])
@@ -80,13 +94,10 @@ def test_pixels_rays_and_gradients_are_finite_everywhere(lens, depth, aside):
     one = camera(lens)
     R, t = np.asarray(one.T_cam_world)[:3, :3], np.asarray(one.T_cam_world)[:3, 3]
     point = on_device(R.T @ (np.array([aside, 0.0, depth]) - t))
-    for function in (cameras.project, cameras.projection_jacobian):
-        assert np.isfinite(function(one, point)).all()
-        gradient = jax.jacrev(function, argnums=(0, 1))(one, point)
-        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(shown_at(one, point)))
     # Far beyond the image, and in its very middle.
     for pixel in (np.array([4000.0, -900.0]), MATRIX[:2, 2]):
-        rays, gradient = RAYS(one, on_device(pixel)), jax.jacrev(RAYS, 1)(one, on_device(pixel))
+        rays, gradient = ray_of(one, on_device(pixel))
         assert np.isfinite(rays).all()
         assert np.isfinite(gradient).all() or lens == BROWN_CONRADY
 

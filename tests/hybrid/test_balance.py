@@ -19,6 +19,7 @@ from jaxmocap.hybrid import balance, ik
 from jaxmocap.hybrid.settings import IKSettings
 
 FACTORS = jax.jit(balance.bow_factors)
+GRAVITY = jax.jit(lambda skeleton, pose: centre_of_gravity(skeleton, forward(skeleton, pose)))
 LANDMARKS_OF = jax.jit(landmarks)
 # Body heights in metres; None is the paper's subject.
 HEIGHTS = [None, 1.55, 1.75, 1.95]
@@ -45,7 +46,7 @@ def squat(skeleton, start, depth, factors):
 
 def outside(skeleton, pose):
     """By how much (metres) the centre of gravity is out of the box of ankles and toes."""
-    gravity = np.asarray(centre_of_gravity(skeleton, forward(skeleton, pose)))[:2]
+    gravity = np.asarray(GRAVITY(skeleton, pose))[:2]
     points = dict(zip(LANDMARKS, np.asarray(LANDMARKS_OF(skeleton, pose)), strict=True))
     feet = np.array([points[f"{name}_{side}"] for name in ("ankle", "toe") for side in "lr"])
     low, high = base_of_support(feet)

@@ -8,12 +8,12 @@ import shutil
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import disk_full_at
 from small_recording import HEIGHT, PLACES, small_recording, standing, write_small_recording
 
 from jaxmocap import Recording
@@ -187,18 +187,6 @@ def test_other_files_of_the_folder_stay(tmp_path):
 
 
 # Full disks --------------------------------------------------------------------------------------
-
-
-@contextmanager
-def disk_full_at(size: int):
-    """No file may grow beyond so many bytes, which a program sees as it sees a full disk."""
-    resource = pytest.importorskip("resource", reason="this system has no limits of file sizes")
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_on_a_full_disk_what_was_written_is_a_complete_recording_and_one_sentence_says_so(tmp_path):
