@@ -1,6 +1,5 @@
 """Inverse kinematics: the equations against the reference, and what it promises of bodies."""
 
-from functools import partial
 from itertools import product
 
 import jax
@@ -65,6 +64,18 @@ def place(skeleton, chosen, targets):
 @jax.jit
 def secondary(skeleton, pose, chosen):
     return paper.secondary_task(skeleton, forward(skeleton, pose), pose, chosen)
+
+
+@jax.jit
+def slopes_at(skeleton, pose, points):
+    """The geometric Jacobian of the five at their points."""
+    return jacobian(skeleton, forward(skeleton, pose), five(skeleton).bones, points)
+
+
+@jax.jit
+def points_on(model, pose):
+    """A model's own markers."""
+    return positions(model.skeleton, forward(model.skeleton, pose), model.markers)
 
 
 LANDMARKS_OF = jax.jit(landmarks)
@@ -254,8 +265,7 @@ def test_a_small_step_is_the_cheapest_that_reaches(skeleton64, pose, seed):
             skeleton64, chosen, start, on_device(points + error), jnp.ones(5),
             jnp.asarray(EVERYTHING),
         )  # fmt: skip
-        frames = forward(skeleton64, start)
-        J = np.asarray(jacobian(skeleton64, frames, five(skeleton64).bones, on_device(points)))
+        J = np.asarray(slopes_at(skeleton64, start, on_device(points)))
     mu = np.asarray(skeleton64.costs)
     cheapest = np.linalg.pinv(J.reshape(15, 27) / mu) @ error.ravel() / mu
     low, high = LIMITS.T
@@ -389,15 +399,14 @@ def test_markers_may_sit_anywhere_on_any_bone(skeleton, name):
     indices = np.array([skeleton.tree.bone(bone) for bone in bones], np.int32)
     markers = Sites(indices, on_device(np.array(at)), on_device(np.array(offsets)))
     model, chosen = Model.create(skeleton, markers), IKSettings()
-    targets = positions(skeleton, forward(skeleton, random_pose(skeleton, 3, 0.4)), markers)
-    pose, placement = feet.place(model, chosen, targets)
-    go = jax.jit(partial(ik.solve_ik, model))
+    targets = points_on(model, random_pose(skeleton, 3, 0.4))
+    pose, placement = jax.jit(feet.place)(model, chosen, targets)
+    go = jax.jit(ik.solve_ik)
     for _ in range(10):
-        result = go(chosen, pose, placement, targets)
+        result = go(model, chosen, pose, placement, targets)
         pose, placement = result.pose, result.feet
     assert float(result.distances[: len(bones)].max()) < 0.005
-    reached = positions(skeleton, forward(skeleton, pose), markers)
-    np.testing.assert_allclose(reached, targets, atol=0.005)
+    np.testing.assert_allclose(points_on(model, pose), targets, atol=0.005)
 
 
 def test_the_closed_form_placement_turns_the_relaxed_pose_to_the_markers(skeleton):

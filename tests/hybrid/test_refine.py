@@ -106,6 +106,12 @@ def test_the_swivel_moves_no_hand(left, right):
 def test_the_papers_simplex_over_each_arm_is_the_references_in_double_precision():
     small = 16
     rng = np.random.default_rng(0)
+
+    @jax.jit
+    def arms_and_regions(body, cameras, start, grips):
+        arms = arms_of(body, forward(body, start), grips)
+        return arms, arm_regions(cameras, arms, small, Settings.paper().margin)
+
     with double():
         body = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), PERSON)
         camera = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), FRONT)
@@ -114,8 +120,7 @@ def test_the_papers_simplex_over_each_arm_is_the_references_in_double_precision(
         model = Model.create(body, sites, camera)
         chosen = replace(Settings.paper(), region=small, simplex=SimplexSettings(iterations=10))
         start, grips = on_device(TRUTH), model.grips
-        arms = arms_of(body, forward(body, start), grips)
-        region = arm_regions(stacked(camera), arms, small, chosen.margin)
+        arms, region = arms_and_regions(body, stacked(camera), start, grips)
         plain = cv2.GaussianBlur(rng.uniform(0, 20, (small, small, 2)), (0, 0), 2)
         fields = EdgeFields(
             region, on_device(plain.transpose(2, 0, 1))[None, :, None], np.ones((1, 2), bool)
@@ -180,7 +185,7 @@ def test_an_image_is_equalised_whole_before_its_regions_are_cut():
 
 def test_the_region_of_an_arm_is_around_that_arm():
     arms = true_arms()
-    regions = arm_regions(BOTH, arms, SIZE, jnp.asarray(0.35))
+    regions = jax.jit(lambda arms: arm_regions(BOTH, arms, SIZE, jnp.asarray(0.35)))(arms)
     assert regions.origin.shape == (2, 2, 2) and regions.scale.shape == (2, 2)
     for c, camera in enumerate((FRONT, SIDE)):
         for arm in range(2):

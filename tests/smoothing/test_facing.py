@@ -4,10 +4,9 @@ import jax
 import numpy as np
 import pytest
 from conftest import on_device
-from painted_motion import MODEL, PERSON, SETTINGS, measurements, truth
+from painted_motion import MODEL, PERSON, SETTINGS, measurements, places_of, truth
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.pose import Pose
 from jaxmocap.smoothing.facing import facing_in_time, references
 
@@ -38,8 +37,7 @@ def aside(ahead: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def late() -> tuple[Pose, dict[str, np.ndarray]]:
     """The markers' own poses, that follow late, and what is measured."""
-    sites = jax.vmap(lambda pose: site_positions(PERSON, forward(PERSON, pose), MODEL.markers))
-    markers = np.asarray(sites(on_device(turned(turning(TIMES)))))
+    markers = np.asarray(places_of(on_device(turned(turning(TIMES)))))
     poses = turned(turning(TIMES - LATE_S))
     return poses, {**measurements(COUNT), "markers": markers, **references(PERSON, TIMES, poses)}
 

@@ -11,7 +11,17 @@ from drawn_arms import SIZE
 from drawn_body import paint, room
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from painted_motion import CAMERAS, ELBOWS, MARKERS, PERSON, RATE, elbow_errors, points_of, truth
+from painted_motion import (
+    CAMERAS,
+    ELBOWS,
+    MARKERS,
+    PERSON,
+    RATE,
+    elbow_errors,
+    places_of,
+    points_of,
+    truth,
+)
 from scipy.linalg import block_diag
 
 from jaxmocap.body.kinematics import forward, site_positions
@@ -59,11 +69,16 @@ def images() -> list[np.ndarray]:
     ]
 
 
+@jax.jit
+def marked(pose: Pose) -> jax.Array:
+    """Markers (M, 3)."""
+    return site_positions(PERSON, forward(PERSON, pose), MARKERS)
+
+
 @cache
 def markers() -> np.ndarray:
     """(T, M, 3) of head and wrists."""
-    over = jax.vmap(lambda pose: site_positions(PERSON, forward(PERSON, pose), MARKERS))
-    return np.asarray(over(on_device(truth(COUNT))), float)
+    return np.asarray(places_of(on_device(truth(COUNT))), float)
 
 
 @cache
@@ -227,7 +242,7 @@ def test_samples_that_follow_a_frame_closely_lie_on_the_track_beside_their_marke
     assert [each.number for each in out] == list(range(2 * count))
     assert (np.diff([each.time for each in out]) > 0).all()
     poses = poses_of(out)
-    points = jax.vmap(lambda pose: site_positions(PERSON, forward(PERSON, pose), MARKERS))(poses)
+    points = places_of(poses)
     # The last one has no event after it.
     off = np.linalg.norm(np.asarray(points)[1:-1:2] - between[: count - 1], axis=-1)
     assert off.max() < STRAY_M + 1e-3
@@ -458,7 +473,6 @@ def test_final_poses_go_on_without_a_jump():
 def test_corrections_fade_in_beside_the_markers():
     """Those of a third of a radian in every joint: an elbow moves, head and hands hardly."""
     model, rng = Model.create(PERSON, MARKERS), np.random.default_rng(4)
-    marked = jax.jit(lambda pose: site_positions(PERSON, forward(PERSON, pose), MARKERS))
     near = jax.jit(moved_near_markers)
     for i in range(4):
         pose = np.concatenate(at(truth(COUNT), 3 * i)).astype(np.float32)
@@ -476,11 +490,11 @@ def test_points_that_smoothing_takes_off_their_markers_come_back():
     """Two centimetres, which the motion prior would rather have than a fast turn."""
     model = Model.create(PERSON, MARKERS)
     pose = np.concatenate(at(truth(COUNT), 3)).astype(np.float32)
-    points = site_positions(PERSON, forward(PERSON, unpack(pose)), MARKERS)
+    points = marked(unpack(pose))
     markers = points + np.array([0.0, 0.0, -0.02])
     still = np.zeros(6 + PERSON.limits.shape[0], np.float32)
     moved = jax.jit(moved_near_markers)(model, unpack(pose), still, markers)
-    off = np.linalg.norm(site_positions(PERSON, forward(PERSON, moved), MARKERS) - markers, axis=-1)
+    off = np.linalg.norm(marked(moved) - markers, axis=-1)
     assert off.max() < STRAY_M + 1e-3
 
 

@@ -88,8 +88,13 @@ def picture_of(arms) -> np.ndarray:
     return draw(FRONT, limbs)
 
 
+@jax.jit
+def _regions(settings, cameras, arms):
+    return arm_regions(cameras, arms, settings.samples, settings.margin, settings.spacing)
+
+
 def observed(images, cameras, arms, settings: Settings | None = None) -> EdgeFields:
     """The fields of first images, in the regions where ``arms`` are."""
     settings = settings or Settings(region=SIZE)
-    regions = arm_regions(cameras, arms, settings.samples, settings.margin, settings.spacing)
+    regions = _regions(settings, cameras, arms)
     return edge_fields(settings, no_thresholds(len(images)), images, regions)[0]
