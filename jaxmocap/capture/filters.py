@@ -128,11 +128,14 @@ def _is_missing(positions: np.ndarray) -> np.ndarray:
 
 
 def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Hampel's identifier on each coordinate: (T, M) bool, a marker's if one of them is.
+    """Hampel's identifier on each coordinate; a marker is an outlier if one of them is.
 
     Args:
         times: (T,) seconds.
         positions: (T, M, 3) metres, or (T, M, N) of anything; NaN where missing.
+
+    Returns:
+        (T, M) booleans.
     """
     interval = median_interval(times)
     half = round(HAMPEL_HALF_WINDOW_S / interval) if interval else 0

@@ -54,10 +54,13 @@ class OneEuro:
     def step(
         self, state: OneEuroState, time: float, positions: np.ndarray
     ) -> tuple[OneEuroState, np.ndarray]:
-        """Filter one sample: the state after it, and the (M, 3) filtered positions.
+        """Filter one sample.
 
         The positions are (M, 3), metres, NaN where missing. A sample that is not later than the one
         before is given back unfiltered.
+
+        Returns:
+            The state after it, and the (M, 3) filtered positions.
         """
         positions = np.asarray(positions, float)
         is_present = np.asarray(np.isfinite(positions).all(-1))

@@ -70,6 +70,9 @@ def high_pass(times: np.ndarray, values: np.ndarray, cutoff: float = HIGH_PASS_H
         times: (N,) seconds, evenly spaced on the whole.
         values: (N,) the series; NaN is bridged for filtering and stays NaN.
         cutoff: hertz, where half the amplitude passes.
+
+    Returns:
+        (N,) filtered values.
     """
     values = np.asarray(values, float)
     is_finite = np.isfinite(values)

@@ -137,6 +137,9 @@ def eased_near_lock(angles: np.ndarray, order: str) -> np.ndarray:
     Args:
         angles: of ``continuous_euler``, radians, changed in place; NaN where unknown.
         order: as there.
+
+    Returns:
+        The angles.
     """
     for joint in range(angles.shape[1]):
         large = (np.abs(np.diff(angles[:, joint, ::2], axis=0)) > _LARGEST_STEP).any(-1)

@@ -48,7 +48,7 @@ def write_overlay(
     targets: Mapping[str, np.ndarray] | None = None,
     rate: float = 30.0,
 ) -> int:
-    """Write a video with the body drawn over every frame; how many frames.
+    """Write a video with the body drawn over every frame.
 
     Args:
         path: of the .mp4 file; it appears when it is complete.
@@ -57,6 +57,9 @@ def write_overlay(
         motion: drawn where it is at each frame's time.
         targets: marker -> (T, 3) measured positions at the motion's times, world, metres.
         rate: nominal frames per second.
+
+    Returns:
+        The number of frames written.
 
     Raises:
         InputError: not one frame to draw on.

@@ -29,7 +29,11 @@ _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-hea
 
 
 def write_report(path: str | Path, motion: Motion, extra: Mapping | None = None) -> dict:
-    """Write the entries of ``summarise``, and those that the caller adds; all of them."""
+    """Write the entries of ``summarise``, and those that the caller adds.
+
+    Returns:
+        What was written.
+    """
     report = plain(summarise(motion) | dict(extra or {}))
     text = json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False)
     with replacing(path) as beside:

@@ -211,7 +211,10 @@ def retargeted_folder(directory: str | Path, source: str | Path, onto: str | Pat
 def write_retargeted(
     motions: RetargetedMotion, folder: OutputFolder, warn: Warn = ignore_warning
 ) -> list[Path]:
-    """Write the motion and the picture, see ``write_outputs``; their paths.
+    """Write the motion and the picture; see ``write_outputs``.
+
+    Returns:
+        What was written.
 
     Raises:
         OutputError: the disk is full; every file that is there is complete.

@@ -112,7 +112,7 @@ def write_outputs(
     warn: Warn = ignore_warning,
     formats: MotionFormats = USUAL_FORMATS,
 ) -> list[Path]:
-    """Write all files of a tracked recording, drawn with its refined cameras; their paths in order.
+    """Write all files of a tracked recording, drawn with its cameras as they were refined.
 
     Args:
         motion: tracked from the recording.
@@ -124,6 +124,9 @@ def write_outputs(
             on stderr; None does so on a terminal.
         warn: called with a sentence for each file that cannot hold the motion and is left out.
         formats: how the motion's files are written.
+
+    Returns:
+        The files, in the order in which they were written.
 
     Raises:
         InputError: see ``tracked_folder``.
@@ -216,7 +219,7 @@ def write_motion(
     warn: Warn = ignore_warning,
     formats: MotionFormats = USUAL_FORMATS,
 ) -> list[Path]:
-    """The motion in every format that others read; the files' paths.
+    """The motion in every format that others read.
 
     Args:
         motion: to be written.
@@ -226,6 +229,9 @@ def write_motion(
         warn: called with a sentence for each file that cannot hold the motion and is left out, or
             whose angles step, and where recording.rrd will not show every sample.
         formats: how the files are written.
+
+    Returns:
+        The files that were written.
     """
     files = [folder / name for name in MOTION_FILES]
     _write_joints(files[0], motion, formats)

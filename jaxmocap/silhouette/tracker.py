@@ -156,7 +156,7 @@ class SilhouetteTracker:
         earlier: PoseEstimate | None = None,
         expected: Pose | None = None,
     ) -> tuple[State, Pose, StepReport]:
-        """One frame of all cameras: the state after it, the pose and a report.
+        """One frame of all cameras.
 
         Args:
             state: after the last frame.
@@ -166,6 +166,9 @@ class SilhouetteTracker:
             earlier: what an earlier pass found in this frame; limbs that explain more there are
                 taken from it.
             expected: where key points have the person; in place of the motion's prediction.
+
+        Returns:
+            The state, the pose and a report.
         """
         constants, body, s = self.constants, state.body, self.constants.settings
         images, history = state.image_history.accepted(images, s.changed_share, s.patience)

@@ -130,7 +130,7 @@ def write_four_cameras(
     height: float = 1.75,
     progress: Progress | None = None,
 ) -> Path:
-    """The recording of someone before the cameras of ``cameras_around``; its file's path.
+    """Write the recording of someone seen by the cameras of ``cameras_around``.
 
     Args:
         directory: is made where missing.
@@ -139,6 +139,9 @@ def write_four_cameras(
         seed: of rooms and sensor noise.
         height: of the person, as the recording states it, metres.
         progress: called with the frames done and their total.
+
+    Returns:
+        The path of ``recording.toml``.
 
     Raises:
         InputError: a duration of less than a frame.

@@ -108,7 +108,11 @@ def backdrop(rng: np.random.Generator) -> np.ndarray:
 
 
 def write_photographs(directory: str | Path, rig: Rig, seed: int = 0) -> Path:
-    """Write a person's four photographs and their calibration, whose path it is."""
+    """Write a person's four photographs and their calibration.
+
+    Returns:
+        The path of ``calibration.toml``.
+    """
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     for name in PHOTOGRAPHS:

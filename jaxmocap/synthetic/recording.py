@@ -76,7 +76,7 @@ def write_table_tennis(
     furnished: bool = True,
     detail: int = 1,
 ) -> Path:
-    """Write a recording of table-tennis strokes; its file's path.
+    """Write a recording of table-tennis strokes.
 
     Args:
         directory: is made where missing.
@@ -89,6 +89,9 @@ def write_table_tennis(
             None is ``webcam()``.
         furnished: a room full of edges; or a bare one.
         detail: of the person, see ``clothed_actor``.
+
+    Returns:
+        The path of ``recording.toml``.
     """
     performance = motions.table_tennis(seconds, seed, strokes, height)
     shown = progress, azimuth, furnished, detail
@@ -162,9 +165,12 @@ def marker_places() -> dict[str, dict[str, Any]]:
 def write_parts(
     directory: Path, parts: RecordingParts, frames: Iterable[np.ndarray], seed: int
 ) -> Path:
-    """Write every file of a recording; the path of ``recording.toml``.
+    """Write every file of a recording.
 
     Frames are (H, W, 3) BGR uint8, at ``video_times``.
+
+    Returns:
+        The path of ``recording.toml``.
     """
     directory.mkdir(parents=True, exist_ok=True)
     noise = marker_noise(parts.times, len(parts.markers), np.random.default_rng([seed, 4]))

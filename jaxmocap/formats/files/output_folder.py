@@ -123,7 +123,11 @@ class OutputFolder:
     def write(
         self, files: Callable[[Path], Iterable[Path]], more_follows: bool = False
     ) -> list[Path]:
-        """``writing`` by a function that writes into a folder; the paths of what is in place."""
+        """The same by a function that writes files into a folder and returns their paths.
+
+        Returns:
+            The files, as they are called once they are in place.
+        """
         with self.writing(more_follows) as stage:
             written = files(stage)
         return [self.path / path.relative_to(stage) for path in written]

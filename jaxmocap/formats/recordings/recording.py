@@ -280,7 +280,7 @@ def write_recording(
     subject: Mapping[str, Any] | None = None,
     up: str = "z",
 ) -> Path:
-    """Write a recording file, whose path it is; the files that it names are written by others.
+    """Write a recording file; the files that it names are written by others.
 
     Args:
         path: of the .toml file, or a folder, in which it is then called ``recording.toml``.
@@ -291,6 +291,9 @@ def write_recording(
         calibration_file: needed with videos.
         subject: the keys of [subject], or None.
         up: the marker file's axis that points up.
+
+    Returns:
+        The path of the file.
     """
     path = Path(path)
     if path.suffix != ".toml":

@@ -58,9 +58,12 @@ def calibrate_live(
     stop: threading.Event,
     countdown: float = COUNTDOWN_S,
 ) -> dict[str, Any]:
-    """Measure who stands still, and put it into the live file; figures, if not stopped.
+    """Measure somebody who stands still, and put it into the live file.
 
     The countdown is in seconds.
+
+    Returns:
+        Figures; empty where it was stopped.
 
     Raises:
         InputError: the live file cannot be changed in place; or an address cannot be had.

@@ -182,11 +182,14 @@ class Live:
             self.recording.add(frame)
 
     def run(self, seconds: float | None = None, stop: threading.Event | None = None) -> dict:
-        """Run until stopped; figures of the run.
+        """Run until stopped.
 
         Args:
             seconds: how long, or None.
             stop: the event that ends it.
+
+        Returns:
+            Figures of the run.
         """
         stop = stop or threading.Event()
         self._began, self._newest_sample = monotonic(), -np.inf

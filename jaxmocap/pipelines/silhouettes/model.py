@@ -131,7 +131,10 @@ def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> Ou
 
 
 def write_model(modelled: ModelResult, folder: OutputFolder) -> list[Path]:
-    """Write model, report and pictures; their paths.
+    """Write model, report and pictures.
+
+    Returns:
+        What was written.
 
     Raises:
         OutputError: the disk is full; what was there is as it was.

@@ -52,7 +52,7 @@ def write_results(
     inputs: Iterable[Path] = (),
     warn: Warn = ignore_warning,
 ) -> list[Path]:
-    """Write all files; their paths in that order.
+    """Write all files.
 
     Args:
         result: from the recording.
@@ -63,6 +63,9 @@ def write_results(
         person: who was tracked: if their colours were measured, their own surface is the skin.
         inputs: files that were read besides the recording's.
         warn: called with a sentence for each file that cannot hold the motion and is left out.
+
+    Returns:
+        The files, in the order in which they were written.
 
     Raises:
         InputError: see ``tracked_folder``.
