@@ -96,7 +96,10 @@ class Model:
     ) -> "Model":
         """A model of a person, of markers and of one or several cameras.
 
-        By default the markers are the paper's, the vertex and both wrists.
+        Args:
+            skeleton: of the person.
+            markers: defaults to the paper's: the vertex and both wrists.
+            cameras: one or several, or None for markers only.
         """
         listed = [cameras] if isinstance(cameras, Camera) else list(cameras or [])
         sites = landmark_sites(skeleton, PAPERS_MARKERS) if markers is None else markers

@@ -166,7 +166,10 @@ def landmarks_over_time(skeleton: Skeleton, poses: Pose, rows: Index = slice(Non
 def in_blocks(function: Callable[[Skeleton, Pose], Any], skeleton: Skeleton, poses: Pose) -> Any:
     """What a function makes of poses (T, ...), called with some at a time: memory is bounded.
 
-    The function goes to a tree of arrays (N, ...).
+    Args:
+        function: of a skeleton and poses (N, ...), to a tree of arrays (N, ...).
+        skeleton: of the poses.
+        poses: at least one.
     """
     count = len(poses.angles)
     # Motions of many lengths share few compilations: the last pose fills up to a power of two.

@@ -174,7 +174,9 @@ def load_skeleton(name: str | Path) -> Skeleton:
 def joint_columns(joints: list[dict], root: dict | None = None) -> dict[str, Array]:
     """A skeleton's arrays of D degrees of freedom, by rows of a body's file.
 
-    Without a virtual root its six are left out of the costs.
+    Args:
+        joints: D rows.
+        root: of the virtual root; None leaves its six out of costs.
     """
     degree = np.pi / 180
     feet = [joint.get("unmarked_feet", {}) for joint in joints]

@@ -85,8 +85,10 @@ def estimate_intrinsics(
 ) -> IntrinsicsEstimate:
     """Calibrate a camera from views of a board, without those whose corners are wrong.
 
-    It takes three views at least; the size is width and height, pixels. An ordinary lens with k1 k2
-    p1 p2 is the default.
+    Args:
+        views: at least three.
+        size: width and height of the pictures, pixels.
+        kind: of the lens; defaults to an ordinary one with k1 k2 p1 p2.
 
     Raises:
         ArithmeticError: the views determine nothing.

@@ -134,8 +134,13 @@ def scale_by_static(
 ) -> ScaledBody:
     """Write the body of a person who stands in a static trial.
 
-    Landmarks name their markers; none takes markers that are called as landmarks are. The mass is
-    in kilograms.
+    Args:
+        out: subject.toml.
+        static: file of markers.
+        landmarks: landmark -> marker; empty takes markers that are called as landmarks are.
+        up: the file's vertical axis.
+        mass: kilograms.
+        wrists: whether the body has them.
     """
     static = Path(static)
     marker_of = dict(landmarks) or {n: n for n in read_markers(static).names if n in LANDMARKS}

@@ -125,7 +125,9 @@ class StretchLag:
 def estimate_video_offsets(recording: Recording, search: float = 1.0) -> list[VideoOffset]:
     """Find every video's offset.
 
-    It is looked for so many seconds about the stated one.
+    Args:
+        recording: with at least one video.
+        search: seconds about the stated offsets to look in.
 
     Raises:
         InputError: no video, or no marker that is present for long enough.

@@ -81,7 +81,9 @@ class Cleaning:
 def filter_markers(recording: Recording, causal: bool = False) -> tuple[Recording, Cleaning]:
     """Send a recording's markers through its filters.
 
-    ``causal`` uses no later sample: of the filters One Euro only, which is not used otherwise.
+    Args:
+        recording: with its filters.
+        causal: use no later sample: of the filters One Euro only, which is not used otherwise.
 
     Raises:
         InputError: a cut-off that the markers' rate cannot hold.

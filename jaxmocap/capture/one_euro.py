@@ -56,8 +56,10 @@ class OneEuro:
     ) -> tuple[OneEuroState, np.ndarray]:
         """Filter one sample.
 
-        The positions are (M, 3), metres, NaN where missing. A sample that is not later than the one
-        before is given back unfiltered.
+        Args:
+            state: after the sample before.
+            time: seconds; a sample that is not later than the one before is given back unfiltered.
+            positions: (M, 3) metres; NaN where missing.
 
         Returns:
             The state after it, and the (M, 3) filtered positions.

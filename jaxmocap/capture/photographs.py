@@ -126,7 +126,9 @@ def _silenced_decoders() -> Iterator[None]:
 def read_empty_room(path: Path, size: tuple[int, int]) -> np.ndarray:
     """What a camera sees where nobody stands: (H, W, 3) BGR uint8.
 
-    The size is the video's: width and height, pixels.
+    Args:
+        path: of an image file.
+        size: width and height of the camera's video, pixels.
 
     Raises:
         InputError: no image, or one of another size: it must be the video's own picture.

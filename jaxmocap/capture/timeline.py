@@ -124,7 +124,10 @@ def _merge(marker_times: np.ndarray, bundle_times: np.ndarray, bundles: np.ndarr
 def check_overlap(marker_times: np.ndarray, video_times: np.ndarray, path) -> None:
     """InputError unless markers and a video share some time.
 
-    Times (T,) and (F,) are seconds of marker time.
+    Args:
+        marker_times: (T,) seconds.
+        video_times: (F,) seconds of marker time.
+        path: the video, for the message.
     """
     latest_start = max(marker_times[0], video_times[0])
     if latest_start > min(marker_times[-1], video_times[-1]):

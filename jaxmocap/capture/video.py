@@ -61,7 +61,8 @@ class FrameSource(ABC):
     def frames(self, luma: bool = False) -> Iterator[TimedImage]:
         """Go through all F frames.
 
-        Images are (H, W, 3) BGR, or with ``luma`` (H, W) grey, uint8.
+        Args:
+            luma: grey images instead of colour.
 
         Yields:
             Time, and an image (H, W, 3) BGR uint8 or with ``luma`` (H, W) uint8; None where the

@@ -56,7 +56,11 @@ def plot_floor_plan(
 ) -> None:
     """Draw the room, and beside it what each set-up is expected to give.
 
-    ``expected`` has set-ups and deviations, metres.
+    Args:
+        path: of the picture (.png, .svg, .pdf).
+        room: from above.
+        expected: set-up and deviation, metres.
+        what: of which joints.
     """
     figure, axes = new_panels(1, 2, (5.6, 4.4), sharex=False)
     floor, bars = axes[0]

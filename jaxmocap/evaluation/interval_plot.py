@@ -41,7 +41,11 @@ def plot_intervals(
 ) -> None:
     """Draw estimates below one another, percent.
 
-    Verdicts are at most three, from the best to the worst.
+    Args:
+        path: of the picture (.png, .svg, .pdf).
+        intervals: from top to bottom.
+        verdicts: that there are, at most three, from the best to the worst.
+        title: above them.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

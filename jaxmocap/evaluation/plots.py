@@ -80,7 +80,10 @@ def plot_elbow_errors(
 def plot_joint_errors(path: str | Path, runs: Mapping[str, Errors], title: str = "") -> None:
     """Draw how far joints are from the reference over time, a panel for each pair of joints.
 
-    One run or two, with errors of the same joints, ``NAME_l`` and ``NAME_r``.
+    Args:
+        path: of the picture (.png, .svg, .pdf).
+        runs: name -> errors of the same joints, ``NAME_l`` and ``NAME_r``; one run or two.
+        title: above the panels.
     """
     first = next(iter(runs.values()))
     places = list(
@@ -162,7 +165,9 @@ COLOURS = {"l": "#1557b0", "r": "#c62828"}
 def plot_stick_figures(path: str | Path, people: Mapping[str, Motion]) -> None:
     """Draw each person at the same instants from the side, and how high their feet are.
 
-    Their times are the same.
+    Args:
+        path: of the picture (.png, .svg, .pdf).
+        people: name -> motion; their times are the same.
     """
     figure, axes = new_panels(len(people), 2, (6.4, 2.2), sharex="col", sharey="col")
     joints = {name: motion.joints() for name, motion in people.items()}

@@ -55,7 +55,10 @@ def risk_curve(stated: np.ndarray, found: np.ndarray) -> tuple[np.ndarray, np.nd
 def plot_reliability(path: str | Path, runs: Mapping[str, Errors], title: str = "") -> None:
     """Draw both for each run.
 
-    A run has errors with deviations, or is the errors of one joint.
+    Args:
+        path: of the picture (.png, .svg, .pdf).
+        runs: name -> errors with deviations; or joint -> errors of that joint.
+        title: above the panels.
 
     Raises:
         ValueError: a run without deviations.

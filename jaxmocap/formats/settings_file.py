@@ -29,7 +29,9 @@ WIDTH = 96
 def read_settings(path: str | Path, settings: T) -> T:
     """A settings record with the fields that a file names.
 
-    The record is one of ``compilation.settings``; its other fields stay.
+    Args:
+        path: of a TOML file.
+        settings: a record of ``compilation.settings``, whose other fields stay.
 
     Raises:
         InputError: no such field, or a value of another kind or beyond its range.

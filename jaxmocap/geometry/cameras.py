@@ -99,7 +99,9 @@ class Camera:
 def camera_of_fov(size: tuple[float, float], fov_deg: float) -> Camera:
     """A camera without distortion at the world's origin, by its field of view.
 
-    The size is width and height, pixels; the field of view degrees along the longer side.
+    Args:
+        size: width and height, pixels.
+        fov_deg: along the longer side, degrees.
 
     Raises:
         ValueError: no camera has that field of view.

@@ -17,7 +17,8 @@ ENOUGH = 3000
 def local_origin(points_world: np.ndarray) -> np.ndarray:
     """The points' median, in each coordinate that is far from 0.
 
-    Of (..., 3), metres, NaN where missing.
+    Args:
+        points_world: (..., 3) metres; NaN where missing.
 
     Returns:
         (3,) whole metres, float64; zeros where the points lie near the world's origin.

@@ -28,8 +28,9 @@ class Solid(NamedTuple):
 def limb_solid(reach: np.ndarray, radii: np.ndarray) -> Solid:
     """The hull of two spheres, at a bone's joint and at its far end.
 
-    ``reach`` (3,) goes from the joint to the far end, in the bone's frame, metres; the radii (2,)
-    are there, metres.
+    Args:
+        reach: (3,) from the joint to the far end, in the bone's frame, metres.
+        radii: (2,) of the spheres at the joint and at the far end, metres.
     """
     length = float(np.linalg.norm(reach))
     axis = reach / length

@@ -67,8 +67,10 @@ def colour_bins(image: np.ndarray) -> np.ndarray:
 def learn_colours(frames: np.ndarray, cores: np.ndarray, bodies: np.ndarray) -> Colours:
     """Colours inside the cores and outside the bodies.
 
-    Frames are (N, h, w, 3) uint8; cores, surely the person, and bodies, perhaps the person, (N, h,
-    w) bool.
+    Args:
+        frames: (N, h, w, 3) uint8.
+        cores: (N, h, w) bool, surely the person.
+        bodies: (N, h, w) bool, perhaps the person.
     """
     counted = RunningColours()
     for i in spread(len(frames)):

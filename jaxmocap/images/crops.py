@@ -30,7 +30,10 @@ class Crop(NamedTuple):
 def cropped(image: np.ndarray, box: np.ndarray, size: tuple[int, int]) -> Crop:
     """The box, grown to the crop's form about its middle; black beyond the image.
 
-    The box (4,) has left, top, right, bottom, pixels; the size is the crop's width and height.
+    Args:
+        image: (H, W, 3) uint8.
+        box: (4,) left, top, right, bottom, pixels.
+        size: width and height of the crop, pixels.
     """
     low, high = np.asarray(box[:2], float), np.asarray(box[2:], float)
     width, height = np.maximum(high - low, 1.0)

@@ -103,8 +103,10 @@ def find_edges(
 ) -> tuple[Edges, Thresholds]:
     """Canny's edges of a region.
 
-    The region is (H, W) uint8, equalised where the settings say so; the thresholds are its own,
-    after the last frame.
+    Args:
+        grey: (H, W) uint8, of an image that is equalised where the settings say so.
+        settings: how edges are found.
+        before: of this region, after the last frame.
     """
     if settings.equalise == "region":
         grey, before = equalised(grey, settings, before)

@@ -107,7 +107,9 @@ def _numbering(away: Array) -> tuple[jnp.dtype, int]:
 def frontmost(limbs: Discs, size: int) -> tuple[Array, Touch]:
     """For each of S * S cells: the limb that reaches farthest over it, and how it touches.
 
-    Limbs are in cells.
+    Args:
+        limbs: K, in cells.
+        size: S.
     """
     away = distances(limbs, size)
     integer, last = _numbering(away)

@@ -98,7 +98,10 @@ def landmark_ellipses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Closed lines (N, POINTS, 2) and their longer half axes (N,), pixels; NaN where unknown.
 
-    Centres (N, 3) and their standard deviations (N, 3) are the world's, metres.
+    Args:
+        camera: that takes the image.
+        centres: (N, 3) world, metres.
+        deviations: (N, 3) standard deviations along the world's axes, metres.
     """
     dtype = camera.T_cam_world.dtype
     at, J, depths = map(np.asarray, _projected(camera, np.asarray(centres, dtype)))

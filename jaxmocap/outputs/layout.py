@@ -42,7 +42,12 @@ def lay_out(
 
     A recording plays from its first frame, again and again; a live run is followed.
 
-    Cameras have the names of their fields, time series' entities the titles of their views.
+    Args:
+        cameras: camera name -> names of its fields.
+        scene: shown from the front left.
+        floor: under it, shown with a grid.
+        series: entities of time series and titles of their views.
+        live: whether data still come.
     """
     body = rrb.Spatial3DView(
         origin="/world",

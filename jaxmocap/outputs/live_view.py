@@ -58,7 +58,11 @@ class LiveView:
     def __init__(self, url: str, skeleton: Skeleton, cameras: Mapping[str, Camera], pose: Pose):
         """Connect and lay out.
 
-        The viewer is at ``rerun+http://...``; about at the pose the person will stand.
+        Args:
+            url: of the viewer, ``rerun+http://...``.
+            skeleton: of the person.
+            cameras: name -> calibration.
+            pose: about where the person will stand.
         """
         self._skeleton, self._cameras = skeleton, dict(cameras)
         self.problem: str | None = None

@@ -171,6 +171,10 @@ def at_times(times: np.ndarray) -> rr.TimeColumn:
 def send_recording(path: Path, url: str) -> None:
     """Send a recording to a viewer, as itself; this process must go on while it loads.
 
+    Args:
+        path: of the .rrd file.
+        url: where the viewer listens.
+
     Raises:
         ImportError: the installed rerun-sdk cannot read such files.
         InputError: the file is no recording, or not all of one.

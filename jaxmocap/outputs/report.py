@@ -31,6 +31,11 @@ _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-hea
 def write_report(path: str | Path, motion: Motion, extra: Mapping | None = None) -> dict:
     """Write the entries of ``summarise``, and those that the caller adds.
 
+    Args:
+        path: of the .json file; it appears when it is complete.
+        motion: with or without a report.
+        extra: more entries, such as warnings or the recording's name.
+
     Returns:
         What was written.
     """
@@ -62,7 +67,9 @@ def summarise(motion: Motion) -> dict:
 def misfit(motion: Motion, least: float = OFF_M) -> str | None:
     """A warning that the body is far off a marker in half of the samples; None if it is not.
 
-    ``least`` is in metres; beyond ``MISFIT_M`` the motion is not that of the person recorded.
+    Args:
+        motion: with or without a report.
+        least: metres; beyond ``MISFIT_M`` the motion is not that of the person recorded.
     """
     if (report := motion.report) is None:
         return None

@@ -32,7 +32,11 @@ def log_skin(
 ) -> None:
     """The surface as the motion moves it; nothing where the pose is unknown.
 
-    The picture (H, W, 3), BGR uint8, has its colours, laid out by ``atlas_of``.
+    Args:
+        stream: of the recording.
+        motion: of the body.
+        surface: of it.
+        picture: (H, W, 3) BGR uint8, its colours, laid out by ``atlas_of``.
     """
     joints = rest_joints(motion.skeleton)
     if picture is None:

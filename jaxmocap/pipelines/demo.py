@@ -93,7 +93,11 @@ def demonstrate(
 ) -> Demonstration:
     """Make a recording, track it, and compare both elbows with the truth.
 
-    The recording goes to ``recording`` in the directory, which is made where missing.
+    Args:
+        directory: is made where missing; the recording goes to ``recording`` in it.
+        seconds: duration.
+        seed: of person, room, strokes and noise.
+        progress: show bars on stderr.
     """
     folder = OutputFolder(directory, MOTION, FILES)
     recording_folder = OutputFolder(folder.path / "recording", "recording", RECORDING_FILES)

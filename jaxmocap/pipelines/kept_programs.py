@@ -40,7 +40,10 @@ class PrivateCache:
     def __init__(self, root: Path, name: str, warn: Callable[[str], None] = lambda _: None):
         """Nothing is made yet.
 
-        The root was chosen by the user; the warning is where another user could have written.
+        Args:
+            root: a folder that was chosen by the user.
+            name: of the folder in it.
+            warn: called with a sentence where another user could have written.
         """
         self.folder, self._root, self._warn = root / name, root, warn
 

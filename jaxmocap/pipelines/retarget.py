@@ -183,8 +183,9 @@ class RetargetedMotion(NamedTuple):
 def retarget(source: str | Path, onto: str | Path) -> RetargetedMotion:
     """Play a motion with another person's body.
 
-    From a motion.npz, or the folder that holds it, onto a subject file, or a folder that
-    ``silhouette model`` wrote.
+    Args:
+        source: a motion.npz, or the folder that holds it.
+        onto: a subject file, or a folder that ``silhouette model`` wrote.
 
     Raises:
         InputError: a file cannot be used, or the bodies have other bones.

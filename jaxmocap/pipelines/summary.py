@@ -29,7 +29,13 @@ def frames_per_second(report: Report) -> float:
 
 
 def summary(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] = ()) -> str:
-    """Samples, seconds, marker errors, the elbows' deviations, warnings, and the files."""
+    """Samples, seconds, marker errors, the elbows' deviations, warnings, and the files.
+
+    Args:
+        motion: with or without its report.
+        files: that were written.
+        warnings: besides those of the report.
+    """
     report = motion.report
     rows = [("samples", f"{len(motion.times)}, {motion.times[0]:.2f} to {motion.times[-1]:.2f} s")]
     if report is not None:

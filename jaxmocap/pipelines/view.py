@@ -97,6 +97,10 @@ def open_viewer(path: Path) -> str:
 def serve_page(path: Path, port: int) -> Viewer:
     """Serve a recording to a browser, from a process that ends with this one.
 
+    Args:
+        path: of the .rrd file.
+        port: of the page.
+
     Raises:
         InputError: the port is taken, or the viewer cannot be opened.
     """
@@ -151,8 +155,11 @@ def start_viewer(
 ) -> Viewer:
     """Start a viewer.
 
-    It shows a window, or is served to a browser at a port, 0 for a free one. Unless it stays it
-    ends with this process, at the latest.
+    Args:
+        arguments: files, or options of rerun's.
+        web: serve it to a browser, in place of a window.
+        web_port: of the page; 0 takes a free one.
+        stay: the viewer outlives this process; else it ends with it, at the latest.
     """
     port = free_port()
     options = ["--bind", LOOPBACK, "--port", str(port)]

@@ -69,8 +69,10 @@ class CompilationCounts:
 def warm_up(recording: Recording, settings: Settings | None = None) -> list[CompilationCounts]:
     """Compile what tracking the recording needs, offline and causally.
 
-    Other recordings with as many markers on the same bones and as many cameras need the same
-    programs.
+    Args:
+        recording: with or without videos; other recordings with as many markers on the same bones
+            and as many cameras need the same programs.
+        settings: of the tracker.
     """
     keep_compiled()
     short = first_half_second(recording)
@@ -84,7 +86,9 @@ def warm_up(recording: Recording, settings: Settings | None = None) -> list[Comp
 def warm_up_live(setup: LiveSetup, settings: Settings | None = None) -> list[CompilationCounts]:
     """Compile what a live run needs, with and without ``--smooth``.
 
-    No device is opened.
+    Args:
+        setup: of the run; no device is opened.
+        settings: of the tracker.
     """
     keep_compiled()
 

@@ -93,6 +93,12 @@ def tracked_folder(
 ) -> OutputFolder:
     """The folder for a tracked recording's files, checked before any work.
 
+    Args:
+        directory: of the outputs.
+        recording: that is tracked.
+        others: names of files that are written besides.
+        inputs: files that are read besides the recording's.
+
     Raises:
         InputError: it cannot be written to, holds a file that is read, or a file that no earlier
             run wrote where one of ours would go.

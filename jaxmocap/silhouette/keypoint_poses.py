@@ -109,7 +109,11 @@ def poses_of_lines(
 ) -> KeypointPoses:
     """The poses (T, ...) that suit all frames' lines of sight.
 
-    Times (T,) are seconds, the lines (T, ...) of C cameras.
+    Args:
+        skeleton: of the person, with D joints.
+        times: (T,) seconds.
+        lines: (T, ...) of C cameras.
+        settings: of the terms.
     """
     model = Model(skeleton, Sites.none(skeleton.lengths.dtype))
     lines = jax.tree.map(lambda part: np.asarray(part, skeleton.lengths.dtype), lines)

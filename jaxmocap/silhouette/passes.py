@@ -170,7 +170,14 @@ def run_passes(
 ) -> PassResult:
     """What the last pass found; or the first in which no camera shows anybody.
 
-    Frames are gone through again by each call. Backgrounds are None where passes are to learn them.
+    Args:
+        tracker: of the person.
+        start: pose in the first frame.
+        frames: goes through the recording again whenever it is called.
+        count: of frames.
+        settings: how many passes, and what they learn.
+        backgrounds: of each camera, where a picture shows it; None where passes are to learn it.
+        progress: called with the frames done and their total.
     """
     constants, body, models = tracker.constants, tracker.body, list(backgrounds)
     shape = ShapeEstimator(
@@ -206,7 +213,13 @@ def run_pass(
 ) -> PassResult:
     """All frames from a state; the first is tracked until its pose rests.
 
-    ``earlier`` is what an earlier pass found, frame by frame.
+    Args:
+        tracker: of the person.
+        state: before the first frame.
+        frames: in order of time.
+        learner: of what the next pass begins with.
+        earlier: what an earlier pass found, frame by frame.
+        progress: called with the frames done.
     """
     result = PassResult(state.body)
     online = {c: OnlineBackground() for c, each in enumerate(state.backgrounds) if each is None}

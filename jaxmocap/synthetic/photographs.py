@@ -83,7 +83,11 @@ def _camera(height: float, azimuth: float) -> Camera:
 def photograph(rig: Rig, name: str, seed: int = 0, background: np.ndarray | None = None):
     """One photograph (H, W, 3), BGR uint8, of a person.
 
-    It is front, side, joint or arm_side; a background (H, W, 3) uint8 takes the backdrop's place.
+    Args:
+        rig: the person.
+        name: front, side, joint or arm_side.
+        seed: of the backdrop and the sensor's noise.
+        background: (H, W, 3) uint8 in the backdrop's place.
     """
     rng = np.random.default_rng([seed, list(PHOTOGRAPHS).index(name)])
     background = backdrop(rng) if background is None else background
@@ -109,6 +113,11 @@ def backdrop(rng: np.random.Generator) -> np.ndarray:
 
 def write_photographs(directory: str | Path, rig: Rig, seed: int = 0) -> Path:
     """Write a person's four photographs and their calibration.
+
+    Args:
+        directory: is made where missing.
+        rig: the person.
+        seed: of backdrop and noise.
 
     Returns:
         The path of ``calibration.toml``.

@@ -167,7 +167,11 @@ def write_parts(
 ) -> Path:
     """Write every file of a recording.
 
-    Frames are (H, W, 3) BGR uint8, at ``video_times``.
+    Args:
+        directory: is made where missing.
+        parts: what they hold.
+        frames: (H, W, 3) BGR uint8, at ``video_times``.
+        seed: of the markers' noise.
 
     Returns:
         The path of ``recording.toml``.

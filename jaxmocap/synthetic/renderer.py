@@ -96,7 +96,10 @@ def render_frames(
 ) -> Iterator[np.ndarray]:
     """Frames (H, W, 3), BGR uint8, one for each time.
 
-    Times (F,) are the middles of the exposures, seconds.
+    Args:
+        scene: to be rendered.
+        times: (F,) the middles of the exposures, seconds.
+        progress: called with the frames done and their total.
     """
     camera = DrawingCamera.of(scene.camera)
     sensor = Sensor.create(camera.size, np.random.default_rng([scene.seed, 3]))

@@ -59,7 +59,9 @@ class LoftedPart:
 def generic_surface(skeleton: Skeleton, girth: float = 1.0) -> Surface:
     """A surface of people's mean proportions around a skeleton.
 
-    ``girth`` is that of trunk and parts by the mean person's: a stout one's is above 1.
+    Args:
+        skeleton: scaled to the person, with any joints.
+        girth: of trunk and lofted_parts by the mean person's: a stout one's is above 1.
     """
     joints, stature = rest_joints(skeleton), stature_of(skeleton)
     grids, shares = {}, {}

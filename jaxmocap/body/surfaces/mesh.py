@@ -90,7 +90,10 @@ class SurfaceMesh(NamedTuple):
 def atlas_of(surface: Surface, nodes: np.ndarray, texel: float) -> Atlas:
     """Lay the patches out in rows, the tallest first, on a picture about as wide as high.
 
-    The nodes (N, 3) are at rest, metres; a texel has that size on the surface, metres.
+    Args:
+        surface: of the body.
+        nodes: (N, 3) of it at rest, metres.
+        texel: size of the picture's texels on the surface, metres.
     """
     sizes = [_size(patch.grid(nodes), texel) for patch in surface.patches]
     area = sum((w + 2 * MARGIN) * (h + 2 * MARGIN) for w, h, _ in sizes)

@@ -69,8 +69,10 @@ def body_pieces(skeleton: Skeleton) -> dict[str, Solid]:
 def stretches(limb: LoftedPart, in_trunk: bool) -> list[Stretch]:
     """A limb's stretches from its near end, cut at its bones' joints.
 
-    In the trunk it begins at its first joint, within the flesh; else with its first ring, as a foot
-    does with its heel.
+    Args:
+        limb: of the table.
+        in_trunk: it begins at its first joint, within the trunk's flesh; else with its first ring,
+            as a foot does with its heel.
     """
     parts = []
     for k, bone in enumerate(limb.bones):

@@ -44,7 +44,9 @@ class Corners:
 def find_corners(image: np.ndarray, board: Board) -> Corners | None:
     """The corners to a fraction of a pixel: of a chessboard all, of a ChArUco board those visible.
 
-    The image is (H, W, 3) BGR, uint8.
+    Args:
+        image: (H, W, 3) BGR, uint8.
+        board: to look for.
     """
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     if board.dictionary is not None:

@@ -106,7 +106,11 @@ def pose_candidates(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Rodrigues vectors and translations, refined, of a camera that sees points at pixels.
 
-    Points are (N, 3), metres; pixels (N, 2); the method is OpenCV's, such as SOLVEPNP_IPPE.
+    Args:
+        points: (N, 3) metres.
+        pixels_xy: (N, 2).
+        lens: of the camera.
+        method: OpenCV's, such as SOLVEPNP_IPPE.
 
     Raises:
         cv2.error: OpenCV finds none.
@@ -151,7 +155,11 @@ def fit_lens(
 ) -> LensFit:
     """Calibrate from V views of a flat board.
 
-    Points (N, 3), metres, and pixels (N, 2) are of each view; the size is width and height, pixels.
+    Args:
+        points: (N, 3) of each view, metres.
+        pixels: (N, 2) of each view.
+        size: width and height of the pictures, pixels.
+        kind: of the lens.
 
     Raises:
         ArithmeticError: OpenCV finds nothing, or nothing finite.

@@ -120,7 +120,10 @@ def draw_coverage(
 ) -> AnnotatedPicture:
     """The image's area: the lighter the more boards, with every corner and its residual.
 
-    Each view has pixels (N, 2) and residuals (N, 2), which are drawn so many times as long.
+    Args:
+        size: of the image, pixels.
+        views: pixels (N, 2) and residuals (N, 2) of each.
+        times: by how much residuals are drawn longer.
     """
     scale = min(1.0, _MAX_SIDE_PX / max(size))
     counts = np.zeros((round(size[1] * scale), round(size[0] * scale)), np.float32)
@@ -246,7 +249,13 @@ def draw_placement(
 ) -> Path:
     """The photograph with what placed the camera, and the axes of the board and of the world.
 
-    The board comes with its T_world_board; there is none where points were listed.
+    Args:
+        picture: the photograph.
+        lens: of the camera.
+        placement: of the camera.
+        pixels_xy: (N, 2) where points were detected.
+        board: and its T_world_board; None with listed points.
+        folder: to write to.
     """
     photo = picture.image()
     times = magnification(placement.rms, (photo.shape[1], photo.shape[0]))

@@ -85,8 +85,10 @@ def unchanged(model: Model) -> MarkedPerson:
 def fit_person(model: Model, start: Pose, targets: Array) -> PersonFit:
     """Lengths, offsets and the poses of K samples, together.
 
-    Markers sit where they usually do at first; targets (K, M, 3) are world, metres, NaN where
-    missing.
+    Args:
+        model: of the person as stated, and M markers where they usually sit.
+        start: (K, ...) poses.
+        targets: (K, M, 3) markers, world, metres; NaN where missing.
     """
     first = unchanged(model), start
     (person, poses), cost = descend(

@@ -69,8 +69,11 @@ class LinearMarkers(NamedTuple):
 def fit_poses(model: Model, start: Pose, targets: Array, tails: Array | float) -> PosesFit:
     """The poses (K, ...) near a start that cost least.
 
-    Targets (K, M, 3) are world, metres, NaN where missing; ``tails`` are wider far from the
-    solution.
+    Args:
+        model: of the person and M markers.
+        start: (K, ...).
+        targets: (K, M, 3) markers, world, metres; NaN where missing.
+        tails: ``TAILS``, or more of them far from the solution.
     """
 
     def one(pose: Pose, own: Array) -> PosesFit:
@@ -88,7 +91,13 @@ FIT_POSES = Program(fit_poses, "fit_poses")
 
 
 def descend(cost_of: Callable, step_from: Callable, start: Any) -> tuple[Any, Array]:
-    """Levenberg and Marquardt's descent: where it ends, and the cost there."""
+    """Levenberg and Marquardt's descent: where it ends, and the cost there.
+
+    Args:
+        cost_of: of a place.
+        step_from: a place and a damping, to the next place.
+        start: the first place.
+    """
 
     def unfinished(carry: tuple) -> Array:
         count, _, _, _, rests = carry

@@ -60,7 +60,9 @@ class MarkerVisibility:
 def check_recording(recording: Recording, video_times: Sequence[np.ndarray]) -> list[Finding]:
     """All that is wrong with a recording, what is fatal first.
 
-    The times (F,) are of each video's frames, in seconds of marker time.
+    Args:
+        recording: with its cameras.
+        video_times: (F,) seconds of marker time of each video's frames.
     """
     findings = check_markers(recording)
     if not any(finding.fatal for finding in findings):

@@ -82,7 +82,9 @@ class Packet(NamedTuple):
 def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
     """Read one datagram.
 
-    ``raw`` takes VMC's devices as tracked (``Pos/Local``) in place of scaled to an avatar.
+    Args:
+        datagram: as it came.
+        raw: take VMC's devices as tracked (``Pos/Local``) in place of scaled to an avatar.
 
     Raises:
         BadPacketError: "malformed"; the datagram as a whole.

@@ -142,7 +142,9 @@ class MarkerSocket(MarkerSource):
     def take(self, datagrams: Sequence[Datagram], more_wait: bool = False) -> None:
         """Read datagrams: of each sender, and of all together, the newest where there are too many.
 
-        ``more_wait``: later ones are there already.
+        Args:
+            datagrams: in the order in which they came in.
+            more_wait: whether later ones are there already.
         """
         now = self._now()
         self.packets += len(datagrams)

@@ -45,8 +45,11 @@ def write_animation(
 ) -> str | None:
     """Write a motion to a .bvh or .glb file, by its suffix; joints have the format's usual names.
 
-    The surface is a .glb file's skin, else the limbs' solids; its colours are as for
-    ``surface_skin``.
+    Args:
+        path: of the file.
+        motion: of a body.
+        surface: of that body, a .glb file's skin; the limbs' solids without one.
+        texture: the surface's colours, as for ``surface_skin``.
 
     Returns:
         A sentence where the format cannot hold the motion and nothing is written, else None.
@@ -93,7 +96,11 @@ def write_avatar(
 ) -> None:
     """Write a person as a .glb file that other programs may move: in a T pose, feet on the ground.
 
-    The surface is around the skeleton; its colours are as for ``surface_skin``.
+    Args:
+        path: of the file.
+        skeleton: which the surface is around.
+        surface: of the person.
+        texture: the surface's colours, as for ``surface_skin``.
     """
     angles = [[np.radians(T_POSE.get(joint, 0.0)) for joint in skeleton.tree.joints]]
     lowest = float(rest_nodes(surface, rest_joints(skeleton))[:, 2].min())

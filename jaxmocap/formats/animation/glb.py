@@ -108,7 +108,11 @@ def write_document(
 ) -> None:
     """Write a document with the arrays that it refers to.
 
-    ``later`` is what there was room reserved for: where it begins, and its bytes.
+    Args:
+        path: of the file.
+        document: without its arrays.
+        binary: the arrays.
+        later: what there was room reserved for: where it begins, and its bytes.
 
     Raises:
         BeyondFormatError: it would be larger than the format's 4 GiB.

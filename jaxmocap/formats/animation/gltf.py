@@ -38,8 +38,11 @@ def write_gltf(
 ) -> None:
     """Write an armature as a .glb file.
 
-    Without a mesh the joints carry the limbs. A still one has no animation: the body stands as in
-    the first sample.
+    Args:
+        path: of the file.
+        armature: its joints.
+        mesh: that they carry; the limbs by default.
+        still: without an animation, as the body stands in the first sample.
 
     Raises:
         InputError: every sample's pose is missing.
@@ -136,7 +139,12 @@ def _animation(
 
 
 def _rotation_keys(armature: Armature, starts: dict[int, int]) -> Iterator[tuple[int, bytes]]:
-    """Keys of joints' rotations, some samples at a time, and where each of them begins."""
+    """Keys of joints' rotations, some samples at a time, and where each of them begins.
+
+    Args:
+        armature: whose poses are all known.
+        starts: joint -> where its first key begins.
+    """
     joints = list(starts)
     before = np.zeros((1, len(joints), 4))
     for rows in armature.blocks() if joints else ():

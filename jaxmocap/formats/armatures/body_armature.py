@@ -43,7 +43,9 @@ MAX_ROTATION_ERROR_RAD = 1e-3
 def armature_of(motion: Motion, convention: str = "jaxmocap") -> Armature:
     """A motion as an armature, in the world's axes, named by a convention.
 
-    The convention is one of ``CONVENTIONS``.
+    Args:
+        motion: of our skeleton.
+        convention: one of ``CONVENTIONS``.
     """
     skeleton, names = motion.skeleton, CONVENTIONS[convention]
     tree = skeleton.tree

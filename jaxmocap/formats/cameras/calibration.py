@@ -96,7 +96,11 @@ def camera_of(
 ) -> Camera:
     """The camera of one section; the others need not be complete, nor placed.
 
-    ``origin_world`` (3,), metres, is subtracted from the camera's position.
+    Args:
+        path: of the file.
+        sections: of ``read_sections``.
+        name: of the section.
+        origin_world: (3,) metres, subtracted from the camera's position; None: zero.
 
     Raises:
         InputError: no such section, or a field of it that is missing or does not fit.
@@ -196,7 +200,12 @@ def is_orthonormal(matrix: np.ndarray) -> bool:
 
 
 def write_calibration(path: str | Path, cameras: dict[str, Camera]) -> None:
-    """Write a calibration file with one section per camera."""
+    """Write a calibration file with one section per camera.
+
+    Args:
+        path: of the file.
+        cameras: section -> Camera.
+    """
     sections = {}
     for name, camera in cameras.items():
         T_cam_world = np.asarray(camera.T_cam_world, float)
@@ -220,7 +229,9 @@ def shortest(distortions: np.ndarray) -> np.ndarray:
 def write_sections(path: str | Path, sections: Mapping[str, Mapping[str, Any]]) -> None:
     """Write a calibration file of each camera's entries, in double precision.
 
-    They are ``Intrinsics.entries()``, rotation and translation (metres).
+    Args:
+        path: of the file.
+        sections: camera -> ``Intrinsics.entries()``, rotation and translation (metres).
     """
     write_toml(path, [(f"[{toml_key(name)}]", {"name": name, **entries})
                       for name, entries in sections.items()])  # fmt: skip

@@ -48,7 +48,9 @@ class VideoFile:
 def replacing_video(path: str | Path, **options: Any) -> Iterator[VideoFile]:
     """Write a video beside ``path`` and replace it at the end.
 
-    The options are the container's, as ``av.open`` takes them.
+    Args:
+        path: of the file.
+        options: of the container, as ``av.open`` takes them.
 
     Raises:
         OutputError: it cannot be written completely; what was there before is as it was.

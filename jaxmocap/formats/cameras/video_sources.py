@@ -57,7 +57,9 @@ class VideoSource:
 def read_videos(top: TomlTable, origin_world: np.ndarray | None = None) -> tuple[VideoSource, ...]:
     """The videos of a recording's file.
 
-    ``origin_world`` (3,), metres, is subtracted from the cameras' positions.
+    Args:
+        top: the whole file.
+        origin_world: (3,) metres, subtracted from the cameras' positions; None: zero.
 
     Raises:
         InputError: a field that is missing, unknown or does not fit, or two cameras whose files

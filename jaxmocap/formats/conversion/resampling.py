@@ -42,7 +42,11 @@ def even_times(
 ) -> np.ndarray:
     """Evenly spaced times, seconds, from the first of (T,) to the last at most.
 
-    There are ``rate`` samples a second, of so many columns each.
+    Args:
+        times: of the samples there are.
+        rate: samples per second.
+        columns: numbers that each sample shall have.
+        path: of the file, for messages.
 
     Raises:
         InputError: there would be far more samples than there are, or than memory holds.

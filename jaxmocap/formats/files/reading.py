@@ -54,7 +54,10 @@ def regular_file(path: str | Path) -> Path:
 def open_regular(path: str | Path, max_bytes: int = MAX_BYTES) -> Iterator[BinaryIO]:
     """A regular file, open to be read from its beginning.
 
-    A file of the system may be endless and say that it is empty, so whoever reads counts as well.
+    Args:
+        path: of the file.
+        max_bytes: bytes that it may hold; a file of the system may be endless and say that it is
+            empty, so whoever reads counts as well.
 
     Raises:
         InputError: it is missing, cannot be read, is no regular file, or is too large.
@@ -74,6 +77,10 @@ def open_regular(path: str | Path, max_bytes: int = MAX_BYTES) -> Iterator[Binar
 
 def read_bytes(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
     """A regular file's content.
+
+    Args:
+        path: of the file.
+        max_bytes: bytes that it may hold.
 
     Raises:
         InputError: it is missing, cannot be read, is no regular file, or is too large.
@@ -107,6 +114,10 @@ _NOT_TEXT = re.compile("[\0\ud800-\udfff]")
 
 def numbered_lines(path: str | Path, max_bytes: int = MAX_TABLE_BYTES) -> Iterator[tuple[int, str]]:
     """Number, from 1, and text of every line, without byte-order mark and line ends.
+
+    Args:
+        path: of the file.
+        max_bytes: bytes that it may hold.
 
     Raises:
         InputError: no such file, nothing in it, or the line that is no text or too long.

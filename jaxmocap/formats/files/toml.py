@@ -294,7 +294,9 @@ def toml_key(key: str) -> str:
 def write_toml(path: str | Path, tables: list[tuple[str, dict[str, Any]]]) -> None:
     """Write tables in order.
 
-    Each has a header line, such as ``[markers]`` or ``[[video]]``, and its entries.
+    Args:
+        path: of the file.
+        tables: header line, such as ``[markers]`` or ``[[video]]``, and entries of each.
     """
     blocks = [
         "\n".join(

@@ -30,7 +30,10 @@ LARGEST_GAIN = {"joint": np.pi, "swelling": 0.3}
 def read_morphing(path: str | Path, tree: Tree, patches: tuple[Patch, ...]) -> Morphing:
     """Read what goes along.
 
-    The body's tree has the joints that drive and follow; the patches are its surface's.
+    Args:
+        path: of the file.
+        tree: of the body, whose joints drive and follow.
+        patches: of the body's surface.
 
     Raises:
         InputError: no such file, a field that is missing or of another kind, a joint or a patch

@@ -43,6 +43,10 @@ _SKELETON_FIELDS = {
 def subject_or_default(top: TomlTable, wrists: bool = False) -> tuple[Skeleton, tuple[str, ...]]:
     """The skeleton of a file's [subject], or of the default height with a warning.
 
+    Args:
+        top: the file.
+        wrists: whether it has wrists where the file does not state it.
+
     Raises:
         InputError: see ``read_subject``.
     """
@@ -170,8 +174,11 @@ def write_subject(
 ) -> None:
     """Write a body's bones to a file that [subject] may name.
 
-    From the height, metres, follows what nobody states. Comments are lines of what the lengths rest
-    on, to be read above them.
+    Args:
+        path: of the TOML file.
+        skeleton: of the person.
+        height: metres, from which follows what nobody states.
+        comments: lines of what the lengths rest on, to be read above them.
     """
     masses = np.asarray(skeleton.masses, float)
     usual = Skeleton.human(height)

@@ -33,7 +33,10 @@ class Sender(ABC):
     ) -> Sequence[bytes]:
         """Those of a pose.
 
-        Deviations (2,) are the standard ones of left and right elbow, metres; NaN unstated.
+        Args:
+            time: seconds since the run began.
+            local: its joints in their parents.
+            deviations: (2,) standard deviations of left and right elbow, metres; NaN unstated.
         """
 
     def lost(self, time: float) -> Sequence[bytes]:

@@ -60,8 +60,9 @@ class JobResult(NamedTuple):
 def cluster_client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     """A client of the scheduler at an address, or of processes of this machine's own.
 
-    Without a scheduler, such as ``tcp://10.0.0.1:8786``, there are so many workers, by default one
-    per core.
+    Args:
+        scheduler: such as ``tcp://10.0.0.1:8786``, or None.
+        workers: processes, where there is no scheduler; defaults to one per core.
 
     Raises:
         InputError: no scheduler answers there, or dask.distributed is not installed.
@@ -91,7 +92,11 @@ def results_as_completed(
 ) -> Iterator[JobResult]:
     """Every job, in the order in which they end; those left are cancelled when the caller stops.
 
-    A job that takes longer, seconds, fails, and its process is ended.
+    Args:
+        client: of the cluster.
+        function: of a job.
+        jobs: to be done.
+        timeout_s: that a job may take once it has begun, seconds; its process is then ended.
     """
     from distributed import as_completed
 

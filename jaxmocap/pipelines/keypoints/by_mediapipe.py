@@ -34,8 +34,9 @@ MAX_ANSWER_BYTES = 2**16
 def mediapipe_detector(python: str, timeout_s: float = TIMEOUT_S) -> Detector:
     """The detector of an environment's Python.
 
-    The Python is such as ``mp/bin/python``; so many seconds it may take to start, and for each
-    frame.
+    Args:
+        python: such as ``mp/bin/python``.
+        timeout_s: how long it may take to start, and for each frame.
     """
     return Detector(MODEL, lambda: _opened(python, timeout_s))
 

@@ -137,8 +137,12 @@ class LiveStatus:
     ) -> None:
         """Print the status line, if it is due.
 
-        Ages are seconds since a stream last received something, None before that; deviations (2,)
-        those of the elbows, metres, NaN where unknown.
+        Args:
+            now: seconds.
+            ages: stream -> seconds since it last received something, None before that.
+            dropped: kind -> number of dropped ones.
+            deviations: (2,) standard deviations of the elbows, metres; NaN where unknown.
+            is_ready: whether all is compiled.
         """
         if now < self._next_line_at:
             return

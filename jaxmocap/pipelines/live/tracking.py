@@ -79,7 +79,11 @@ class LiveTracking:
     ):
         """Prepare; all compiles in a thread beside, what the markers' poses need first.
 
-        A tracker is of this person, these markers and cameras, compiled before.
+        Args:
+            setup: person, markers, cameras.
+            settings: of the tracker.
+            smooth: whether poses are smoothed, two frames late.
+            tracker: of this person, these markers and cameras, compiled before.
 
         Raises:
             ValueError: something was chosen that has no part in it, see ``unused_setting``.

@@ -45,8 +45,12 @@ def scale_by_recording(
 ) -> LengthsReport:
     """Write the body of the person in a recording, and beside it a picture of the estimates.
 
-    The picture has the subject file's name, and ends in .png. Height, metres, and mass, kilograms,
-    stand in place of the recording's [subject], where the lengths start from.
+    Args:
+        out: subject.toml; the picture has its name, and ends in .png.
+        path: of the recording; its [subject] is where the lengths start from.
+        height: metres, in place of that subject.
+        mass: kilograms.
+        progress: see ``track``.
 
     Raises:
         InputError: a recording that cannot determine lengths; what ``track`` would refuse.

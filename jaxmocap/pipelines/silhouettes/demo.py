@@ -116,8 +116,13 @@ def demonstrate_silhouettes(
 ) -> SilhouetteDemo:
     """Make a recording, track it, compare it with the truth, and write it all down.
 
-    The recording goes to ``recording`` in the directory. Without the file of somebody's rigged mesh
-    a simple person made here squats; ``kind`` is the mesh's exercise.
+    Args:
+        directory: is made where missing; the recording goes to ``recording`` in it.
+        seconds: duration.
+        seed: of rooms, movement and noise.
+        person: file of a rigged mesh; a simple person made here squats without it.
+        kind: the mesh's exercise.
+        progress: show bars on stderr.
     """
     folder = Path(directory)
     recording_folder = OutputFolder(folder / "recording", "recording", RECORDING_FILES)

@@ -29,8 +29,11 @@ def morphing_for(
 ) -> Morphing:
     """What goes along with the joints of a person.
 
-    Without a file, such as ``body/data/shoulder.toml``, shoulders go with raised arms where they
-    shall. The surface is the person's own, or else a generic one.
+    Args:
+        skeleton: of the person, with the joints that move them.
+        surface: their own; a generic one without it.
+        go_along: shoulders with raised arms.
+        file: what goes along instead, such as ``body/data/shoulder.toml``.
 
     Raises:
         InputError: the file cannot be used, or the body's shoulders cannot go along.

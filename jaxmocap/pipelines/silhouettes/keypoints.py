@@ -123,7 +123,10 @@ LOST = "lost: "
 def check_determined(recording: Recording, markers: bool, guess: bool) -> tuple[str, ...]:
     """Warnings about cameras that determine depth badly.
 
-    ``guess``: one camera alone is tracked all the same.
+    Args:
+        recording: with its cameras.
+        markers: whether its markers are followed.
+        guess: whether one camera alone is tracked all the same.
 
     Raises:
         InputError: one camera alone, and no guess.
@@ -157,7 +160,9 @@ def _between(first, second) -> float:
 def keypoint_distances(points_world: np.ndarray, lines: SightLines) -> np.ndarray:
     """(F,) how far landmarks lie from their lines in the median, metres; NaN where none is.
 
-    Points are (F, L, 3), metres; lines (F, ...) of C cameras.
+    Args:
+        points_world: (F, L, 3) metres.
+        lines: (F, ...) of C cameras.
     """
     is_detected = np.asarray(lines.confidences) > 0
     off = points_world[:, None] - np.asarray(lines.origin)[:, :, None]

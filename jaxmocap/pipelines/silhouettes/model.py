@@ -125,7 +125,12 @@ def model_from(
 
 
 def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> OutputFolder:
-    """The folder for a person's model, checked before any work; see ``OutputFolder``."""
+    """The folder for a person's model, checked before any work; see ``OutputFolder``.
+
+    Args:
+        directory: of the outputs.
+        inputs: photographs and calibration.
+    """
     pictures = [f"{name}{kind}.png" for name in PHOTOGRAPHS for kind in ("", REFUSED)]
     return OutputFolder(directory, "model", [*FILES, *pictures, *PERSON_FILES], inputs)
 

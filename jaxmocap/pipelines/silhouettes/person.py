@@ -59,7 +59,11 @@ def write_person(
 ) -> list[Path]:
     """Write the files; their paths.
 
-    Images are (H, W, 3) BGR uint8.
+    Args:
+        person: the shape by the photographs.
+        images: photograph -> (H, W, 3) BGR uint8.
+        views: photograph -> mask and camera.
+        directory: where to.
     """
     files = [Path(directory) / name for name in PERSON_FILES]
     thick = with_thickness(person.skeleton, person.surface)
@@ -81,7 +85,9 @@ def write_person(
 def with_model(recording: Recording, model: str | Path | None) -> tuple[Recording, Person | None]:
     """The recording with a model's bones, and the person of the model; as it is without a model.
 
-    The model is a folder that ``silhouette model`` wrote.
+    Args:
+        recording: of that person.
+        model: a folder that ``silhouette model`` wrote.
 
     Raises:
         InputError: a file of the folder is missing or cannot be used.

@@ -121,7 +121,11 @@ def make_silhouette_tracker(
 ) -> SilhouetteTracker:
     """The tracker of a recording's person by its cameras, and by its markers where asked for.
 
-    The surface is around the recording's skeleton; without it there is a generic one.
+    Args:
+        recording: with one or several videos.
+        settings: of the tracker.
+        markers: follow them too.
+        surface: of the person, around the recording's skeleton; a generic one without it.
 
     Raises:
         InputError: it has no video, or not the markers.

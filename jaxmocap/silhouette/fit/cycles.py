@@ -32,7 +32,13 @@ from jaxmocap.silhouette.surfaces.shape import NodePairs
 
 
 def matched_shares(rim: Rim, pairs: Matches, points: Sequence[int]) -> np.ndarray:
-    """(C,) the smaller of the shares of rim points and of contour points that found a partner."""
+    """(C,) the smaller of the shares of rim points and of contour points that found a partner.
+
+    Args:
+        rim: of C cameras.
+        pairs: of rim and contours.
+        points: of each camera's contour.
+    """
     outline = rim.valid & ~rim.inner
     shares = []
     for camera, count in enumerate(points):
@@ -71,8 +77,10 @@ def kept_histograms(used: np.ndarray, new: Histograms, old: Histograms) -> Histo
 def combined_prior(expected: Pose, deviations: np.ndarray, rest: np.ndarray) -> Prior:
     """The prior of a pose before its images.
 
-    Deviations (6 + D,) are about the expected pose; ``rest`` (D,) about 0, infinite for joints that
-    are not held there; metres and radians.
+    Args:
+        expected: by the motion.
+        deviations: (6 + D,) about it, metres and radians.
+        rest: (D,) about 0, radians; infinite for joints that are not held there.
     """
     moving, still = deviations[ROOT_DOF:] ** -2.0, rest**-2.0
     both = moving + still
@@ -126,8 +134,12 @@ def fit_pose(
 ) -> FittedPose:
     """The pose that brings the body's rims to the contours.
 
-    The predicted pose is where it starts, and the mean of the prior, whose deviations (6 + D,) are
-    metres and radians.
+    Args:
+        constants: of the tracker.
+        body: who is tracked.
+        frame: its images.
+        predicted: to start from, and the mean of the prior.
+        deviations: (6 + D,) of the prior, metres and radians.
     """
     s, morph = constants.settings, constants.finder.morph
     centre = predicted if morph is None else free_pose(morph, predicted)

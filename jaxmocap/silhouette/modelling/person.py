@@ -120,8 +120,10 @@ def person_model(
 ) -> PersonModel:
     """A model from the views ``front``, ``side``, ``joint`` and ``arm_side``.
 
-    ``bottom`` is the row of the trunk's bottom line in the front view; it is found where the legs
-    part.
+    Args:
+        views: the four of them.
+        bottom: row of the trunk's bottom line in the front view; found where the legs part.
+        reading: how joints and slices are made of silhouettes.
 
     Raises:
         ValueError: what a view shows is not the stance that is asked for.

@@ -52,8 +52,11 @@ def measured_slices(
 ) -> dict[str, BodySlices]:
     """Patch -> what was measured of it.
 
-    Landmarks are those of the front view, world, metres; ``spread`` (2,) that of left and right
-    thigh there, radians.
+    Args:
+        model: of the person.
+        skeleton: of the person.
+        marks: landmarks in the front view, world, metres.
+        spread: (2,) of left and right thigh in the front view, radians.
     """
     pelvis = (marks["hip_l"] + marks["hip_r"]) / 2
     slices = {"torso": _trunk(model, pelvis)}

@@ -74,7 +74,14 @@ class EvidenceFinder:
         appearance: BodyAppearance,
         depths: np.ndarray,
     ) -> LimbEvidence:
-        """What is left for a limb: beside the rest of the body, or before it by its colour."""
+        """What is left for a limb: beside the rest of the body, or before it by its colour.
+
+        Args:
+            number: of the limb.
+            projected: the body over the images.
+            appearance: of the body's points.
+            depths: of ``nearest_depths``.
+        """
         s, rest, cells = self._settings, ~self._on(number), projected.cells
         colour = s.likelihood.chromaticity
         depth = np.delete(depths, number, 0).min(0)

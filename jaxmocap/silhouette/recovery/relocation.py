@@ -65,8 +65,14 @@ def recover_limbs(
 ) -> RecoveredPose:
     """The fitted pose, or one that explains more with limbs elsewhere.
 
-    Deviations (6 + D,) are of the prior that the pose was fitted with; ``earlier`` is what an
-    earlier pass found in this frame.
+    Args:
+        constants: of the tracker.
+        body: who is tracked.
+        limbs: what is remembered of them.
+        frame: what the pose was fitted to.
+        fitted: the pose.
+        deviations: (6 + D,) of the prior that it was fitted with.
+        earlier: what an earlier pass found in this frame.
     """
     s, recovery = constants.settings, body.recovery
     none = recovery.joints_of(())

@@ -64,8 +64,11 @@ class BackgroundLearner:
     ) -> None:
         """Learn from a frame with the person in it.
 
-        The image is (H, W, 3) uint8, phi (S, S) positive within the person; pixels (N, 2) lie all
-        over the body as estimated.
+        Args:
+            image: (H, W, 3) uint8.
+            phi: (S, S) cells, positive within the person.
+            region: where they lie.
+            pixels_xy: (N, 2) of points all over the body as estimated.
         """
         self._count += 1
         if (self._count - 1) % self.every:

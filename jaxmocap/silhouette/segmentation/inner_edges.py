@@ -89,8 +89,11 @@ def inner_edge_pairs(
 ) -> Matches:
     """Pairs (C, R) of the rims' inner points and the edges next to them.
 
-    Images are (H, W, 3) BGR uint8 of each camera, or None; ``bones`` (M,) carry the nodes of the
-    rim's surface.
+    Args:
+        images: (H, W, 3) BGR uint8 of each camera, or None.
+        rim: with inner points.
+        bones: (M,) that carries each node of the rim's surface.
+        settings: of edges.
     """
     rows = [_of_camera(image, rim, bones, camera, settings) for camera, image in enumerate(images)]
     return Matches(*(np.stack(parts) for parts in zip(*rows, strict=True)))

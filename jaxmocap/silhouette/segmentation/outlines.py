@@ -53,7 +53,12 @@ def find_outlines(
 ) -> Outlines:
     """Segment the images from the silhouettes that are predicted.
 
-    Images are (H, W, 3) BGR uint8 of each camera, or None; the rim is at the predicted pose.
+    Args:
+        images: (H, W, 3) BGR uint8 of each camera, or None.
+        backgrounds: of each camera, or None.
+        rim: at the predicted pose.
+        before: histograms of the frames before.
+        settings: of the tracker.
     """
     size, region = settings.rim.size, Region(*map(np.asarray, rim.region))
     views = [Region(*each) for each in zip(*region, strict=True)]

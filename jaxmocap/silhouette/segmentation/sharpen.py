@@ -92,8 +92,11 @@ def sharpened_silhouette(
 ) -> SilhouettePatch:
     """The silhouette to a pixel.
 
-    The image is (H, W, 3) BGR uint8, phi (S, S) positive within the person. Without a background's
-    model it goes by what is visible beside the person.
+    Args:
+        image: (H, W, 3) BGR uint8.
+        phi: (S, S) cells, positive within the person.
+        region: where the canvas lies.
+        background: its model; without it, what is visible beside the person.
     """
     step = max(1, int(float(region.scale) / FINE))
     rows, columns = _box(phi > 0, region, image.shape[:2], step)

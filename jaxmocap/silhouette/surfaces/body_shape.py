@@ -46,7 +46,10 @@ def determined_landmarks(tree: Tree) -> np.ndarray:
 def surface_of_body(surface: Surface, skeleton: Skeleton, name: str) -> Surface:
     """A whole person's surface, cut down to the parts of a body; closed where it was cut.
 
-    Where the body's file lists no ``surface`` it has all of it.
+    Args:
+        surface: around the skeleton.
+        skeleton: of the person.
+        name: of the body's file; where that lists no ``surface`` it has all of it.
     """
     rows = surface_rows_of(name)
     if not rows:
@@ -93,8 +96,10 @@ class BodyShape(NamedTuple):
     ) -> "BodyShape":
         """Of a surface as dense as rims need it, and its low-passes.
 
-        Levels go from coarse to fine: the lowest harmonics around and waves along each limb,
-        (3.17).
+        Args:
+            skeleton: of the person.
+            surface: around it.
+            levels: coarse to fine: the lowest harmonics around and waves along each limb, (3.17).
         """
         joints = rest_joints(skeleton)
         every = (*(low_pass(surface, joints, *level) for level in levels), surface)

@@ -49,7 +49,10 @@ class Morph:
 def morph_of(morphing: Morphing, tree: Tree, moves: np.ndarray | None = None) -> Morph:
     """A morphing with arrays for names.
 
-    ``moves`` (N, 3, S) are the nodes', in the order of ``morphing.drivers``, if skin goes along.
+    Args:
+        morphing: what goes along.
+        tree: of the skeleton.
+        moves: (N, 3, S) of the nodes, in the order of ``morphing.drivers``, if skin goes along.
 
     Raises:
         KeyError: no such joint, or no such weighting; the message lists the valid ones.

@@ -117,8 +117,11 @@ class ShapeEstimator:
     ):
         """Begin with a surface.
 
-        The surface is a generic one, or a person's own; ``unknown`` is how far it may be off, by
-        how far a generic one is.
+        Args:
+            surface: a generic one, or a person's own.
+            skeleton: that it lies around.
+            unknown: how far it may be off, by how far a generic one is.
+            lengths: whether the bones' lengths are to be found as well.
         """
         self._generic, self._skeleton = surface, skeleton
         fields = fields_of(surface, rest_joints(skeleton))

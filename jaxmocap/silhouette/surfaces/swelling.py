@@ -205,8 +205,12 @@ def morph_around(
 ) -> Morph:
     """A morphing of one skeleton and the surface around it.
 
-    Joints (B, 3) are with all angles 0, metres; ``spacing``, metres, is that of the nodes that go
-    along, if those are ``resampled``.
+    Args:
+        morphing: what goes along.
+        tree: of the skeleton.
+        surface: N nodes.
+        joints: (B, 3) of the bones with all angles 0, metres.
+        spacing: of the nodes that go along, metres, if those are ``resampled``.
 
     Raises:
         KeyError: no such joint, or no such weighting.

@@ -169,7 +169,12 @@ def exercise(
 ) -> Exerciser:
     """Someone at an exercise, facing +x about the world's origin.
 
-    It is one of ``EXERCISES`` or ``RAISES``. Without a girdle the shoulders stay on the chest.
+    Args:
+        rig: of the person.
+        name: of the exercise, one of ``EXERCISES`` or ``RAISES``.
+        seconds: duration.
+        seed: of the variations.
+        girdle: how far the shoulders go with raised arms; without it they stay on the chest.
 
     Raises:
         ValueError: an unknown exercise; the message lists the valid ones.

@@ -94,8 +94,11 @@ class Actor:
 def clothed_actor(performance: Performance, seed: int = 0, detail: int = 1) -> Actor:
     """The performer with a body, clothes, a headset, and a racket in the right hand.
 
-    ``detail`` makes meshes finer by this factor, in smooth colours: for the eye. Trackers get no
-    other outlines by it, and drawing takes its square as long.
+    Args:
+        performance: the movement.
+        seed: of clothes and folds.
+        detail: finer meshes by this factor, in smooth colours: for the eye. Trackers get no other
+            outlines by it, and drawing takes its square as long.
     """
     parts = _PersonMesh(performance.figure, np.random.default_rng([seed, 1]), detail)
     return Actor(parts.person(), performance, parts.rest)

@@ -30,8 +30,9 @@ class QuadMesh:
     def posed(self, R_world_bone: np.ndarray, shifts: np.ndarray) -> np.ndarray:
         """Vertices (T, V, 3) with the bones moved.
 
-        R_world_bone (T, B, 3, 3) turn bones from their rest; shifts (T, B, 3), metres, are where
-        that takes the rest frame's origin.
+        Args:
+            R_world_bone: (T, B, 3, 3) turns of the bones from their rest.
+            shifts: (T, B, 3) where a bone's turn takes the rest frame's origin, metres.
         """
         frames = np.concatenate([R_world_bone, shifts[..., None]], -1)
         blended = np.zeros((len(frames), len(self.vertices), 3, 4))

@@ -65,8 +65,12 @@ def baked(
 ) -> np.ndarray:
     """The atlas' picture (H, W, 3), BGR uint8.
 
-    Patches are the generic body's: pairs ``_l`` and ``_r``, others the same on both sides, rings of
-    all beginning ahead. The first photograph's brightness is kept.
+    Args:
+        surface: patches of the generic body: pairs ``_l`` and ``_r``, others the same on both
+            sides, rings of all beginning ahead.
+        atlas: of it.
+        mesh: of it.
+        shots: photograph's name -> photograph; the first one's brightness is kept.
     """
     clouds = [texels_of(surface, atlas, mesh, shot.nodes_world) for shot in shots.values()]
     colours, weights = [], []
@@ -225,7 +229,11 @@ def avatar_of(
 ) -> Avatar:
     """A person's colours from the photographs.
 
-    Images are (H, W, 3) BGR uint8; a texel is that wide on the surface, metres.
+    Args:
+        person: of the shape that they gave.
+        images: photograph -> (H, W, 3) BGR uint8.
+        views: photograph -> mask and camera.
+        texel: of the picture, metres on the surface.
     """
     rest = rest_nodes(person.surface, rest_joints(person.skeleton))
     atlas = atlas_of(person.surface, rest, texel)

@@ -65,7 +65,9 @@ def fused(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(..., 3) colours, the linear blend of several; (...) the largest weight.
 
-    Of P times (..., 3) colours and (...) weights.
+    Args:
+        colours: P times (..., 3).
+        weights: P times (...).
     """
     best = np.maximum(np.max(weights, 0), 1e-9)
     shares = [np.maximum(w / best - LEAST_SHARE, 0) for w in weights]
