@@ -14,8 +14,6 @@ import numpy as np
 from bench.clock import Span, ratio, timed
 from bench.footage import Footage
 from bench.metrics import OF_OTHERS, Metric, stage_metrics
-from bench.reference.hybrid import ik as reference_ik
-from bench.reference.hybrid import pipeline
 from jaxmocap.capture.video import open_video
 from jaxmocap.evidence.markers import Goals
 from jaxmocap.formats.recordings.recording import Recording
@@ -27,6 +25,8 @@ from jaxmocap.hybrid.settings import Settings, SimplexSettings
 from jaxmocap.hybrid.step import SOLVE
 from jaxmocap.hybrid.tracker import HybridTracker, State
 from jaxmocap.pipelines.tracking.track import make_tracker
+from jaxmocap.reference.hybrid import ik as reference_ik
+from jaxmocap.reference.hybrid import pipeline
 
 # Solves by the reference, quickly and in full. Its raster goes pixel by pixel: minutes for a frame
 # as users have it, so both get small regions and few steps of the simplex.

@@ -23,7 +23,6 @@ from bench.clock import interleaved
 from bench.command_line import command
 from bench.footage import Footage, film
 from bench.metrics import Metric, table, write_json
-from bench.reference import kinematics as reference
 from bench.rival_kinematics import random_poses
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
@@ -42,6 +41,7 @@ from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette_grid import Grid
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.tracking.track import make_tracker
+from jaxmocap.reference import kinematics as reference
 from jaxmocap.smoothing.linearise import views_fit
 
 # Poses, recordings and pictures at a time; events of a recording, every third with a frame.

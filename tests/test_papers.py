@@ -13,7 +13,7 @@ PACKAGE = Path(jaxmocap.__file__).parent
 PROJECT = PACKAGE.parent
 PAGE = PACKAGE / "docs" / "papers.md"
 HEADER = ("the paper's", "ours: function", "default or option", "test", "measured")
-NAME = re.compile(r"`((?:jaxmocap|bench)(?:\.\w+)+)`")
+NAME = re.compile(r"`(jaxmocap(?:\.\w+)+)`")
 TEST = re.compile(r"`([\w/]+\.py)::(\w+)`")
 # A paper's equations and figures, as the page's first column has them.
 EQUATIONS = {

@@ -8,10 +8,10 @@ from conftest import FLOAT32_TOLERANCES, double, on_device, poses, vectors
 from hypothesis import given
 from mujoco_body import MujocoBody
 
-from bench.reference import kinematics as reference
 from jaxmocap.body import kinematics
 from jaxmocap.body.pose import Pose, pack, relaxed_pose, retract, unpack
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.reference import kinematics as reference
 
 FORWARD = jax.jit(kinematics.forward)
 LANDMARKS_OF = jax.jit(kinematics.landmarks)

@@ -8,12 +8,12 @@ from conftest import FLOAT32_TOLERANCES, double, on_device, poses
 from hypothesis import given
 from mujoco_body import MujocoBody
 
-from bench.reference import kinematics as reference_kinematics
-from bench.reference.hybrid import mass as reference
 from jaxmocap.body import mass
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.surfaces import cones
+from jaxmocap.reference import kinematics as reference_kinematics
+from jaxmocap.reference.hybrid import mass as reference
 
 
 @jax.jit

@@ -26,8 +26,6 @@ from watched_arms import (
     turned_by,
 )
 
-from bench.reference import cameras as reference_cameras
-from bench.reference.hybrid import raster as reference
 from jaxmocap.body.arms import arms_of, flesh
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.surfaces.cones import Cones
@@ -43,6 +41,8 @@ from jaxmocap.hybrid.paper.chamfer import (
 )
 from jaxmocap.hybrid.settings import Settings, SimplexSettings
 from jaxmocap.images.regions import Region
+from jaxmocap.reference import cameras as reference_cameras
+from jaxmocap.reference.hybrid import raster as reference
 
 GRID = 20
 COVERAGE = jax.jit(soft_coverage, static_argnums=1)

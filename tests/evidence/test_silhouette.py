@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from watched_arms import FRONT, PERSON, TRUTH
 
-from bench.reference.hybrid import silhouette as reference
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import retract
 from jaxmocap.body.proportions import PROPORTIONS, scaled
@@ -32,6 +31,7 @@ from jaxmocap.geometry.outlines import Discs, signed_distance
 from jaxmocap.images.colours import Colours, colour_bins, learn_colours
 from jaxmocap.images.regions import Region, in_other_region
 from jaxmocap.images.silhouette_grid import Grid, blurred, cells, coverage_fit
+from jaxmocap.reference.hybrid import silhouette as reference
 
 CELLS, LIMBS, SOFTNESS = 16, 4, 1.3
 # Silhouettes of the whole body.

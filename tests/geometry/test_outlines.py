@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy import optimize
 from scipy.spatial import ConvexHull
 
-from bench.reference.hybrid import raster as reference
 from jaxmocap.geometry import outlines
 from jaxmocap.geometry.outlines import Discs
+from jaxmocap.reference.hybrid import raster as reference
 
 DISTANCE = jax.jit(outlines.signed_distance)
 OUTLINE = jax.jit(outlines.outline, static_argnums=(1, 2))

@@ -9,7 +9,6 @@ import pytest
 from conftest import double, on_device, poses
 from hypothesis import given
 
-from bench.reference.hybrid import balance as reference
 from jaxmocap.body.kinematics import forward, landmarks
 from jaxmocap.body.mass import base_of_support, centre_of_gravity
 from jaxmocap.body.model import Model, on_unmarked_feet
@@ -17,6 +16,7 @@ from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.hybrid import balance, ik
 from jaxmocap.hybrid.settings import IKSettings
+from jaxmocap.reference.hybrid import balance as reference
 
 FACTORS = jax.jit(balance.bow_factors)
 GRAVITY = jax.jit(lambda skeleton, pose: centre_of_gravity(skeleton, forward(skeleton, pose)))

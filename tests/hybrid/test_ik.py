@@ -10,8 +10,6 @@ from conftest import LIMITS, double, on_device, poses, vectors
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.reference import kinematics as reference_kinematics
-from bench.reference.hybrid import ik as reference
 from jaxmocap.body.kinematics import Sites, forward, jacobian, landmark_sites, landmarks
 from jaxmocap.body.kinematics import site_positions as positions
 from jaxmocap.body.model import Model
@@ -22,6 +20,8 @@ from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.hybrid import feet, ik
 from jaxmocap.hybrid.paper import ik as paper
 from jaxmocap.hybrid.settings import IKSettings
+from jaxmocap.reference import kinematics as reference_kinematics
+from jaxmocap.reference.hybrid import ik as reference
 
 NAMES = ("vertex", "wrist_l", "wrist_r", "ankle_l", "ankle_r")
 # A step in float32 may lie this far from double precision, weighted radians: the singular

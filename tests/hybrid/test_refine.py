@@ -29,7 +29,6 @@ from watched_arms import (
     turned_by,
 )
 
-from bench.reference.hybrid import pipeline as reference
 from jaxmocap.body.arms import arm_dofs, arms_of, hang, swing
 from jaxmocap.body.kinematics import Sites, forward
 from jaxmocap.body.model import Model
@@ -40,6 +39,7 @@ from jaxmocap.hybrid.observe import arm_regions
 from jaxmocap.hybrid.settings import Settings, SimplexSettings
 from jaxmocap.images.edges import EdgeSettings, Thresholds, equalised, to_grey
 from jaxmocap.images.regions import to_region
+from jaxmocap.reference.hybrid import pipeline as reference
 
 CAMERAS, BOTH = stacked(FRONT), stacked(FRONT, SIDE)
 ALONE = Settings(region=SIZE, search=False)

@@ -28,14 +28,14 @@ from watched_arms import (
 )
 from waving_arms import BODY, image_of, waving
 
-from bench.reference.hybrid import pipeline
-from bench.reference.hybrid import search as reference
 from jaxmocap.body.arms import arms_of, swivels, turn_between
 from jaxmocap.body.kinematics import forward
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.hybrid import elbow_search
 from jaxmocap.hybrid.refine import search_elbows
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.reference.hybrid import pipeline
+from jaxmocap.reference.hybrid import search as reference
 
 SETTINGS = Settings(region=SIZE)
 SEARCH = SETTINGS.elbow_search

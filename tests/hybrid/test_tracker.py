@@ -12,9 +12,6 @@ from conftest import LIMITS, on_device
 from watched_arms import FRONT, MARKERS, MODEL, PERSON, TRUTH, arms_in
 from waving_arms import RATE, frames, image_of, markers_of, waving
 
-from bench.reference import kinematics as reference
-from bench.reference.hybrid import ik as reference_ik
-from bench.reference.hybrid import pipeline as reference_pipeline
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.model import Model, on_unmarked_feet
 from jaxmocap.body.pose import Pose
@@ -27,6 +24,9 @@ from jaxmocap.hybrid.observe import edge_fields
 from jaxmocap.hybrid.settings import IKSettings, Settings, SimplexSettings
 from jaxmocap.hybrid.step import SOLVE, refine_one, solve_event
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.reference import kinematics as reference
+from jaxmocap.reference.hybrid import ik as reference_ik
+from jaxmocap.reference.hybrid import pipeline as reference_pipeline
 
 BLACK = np.zeros((480, 640, 3), np.uint8)
 MISSING = np.full((3, 3), np.nan)

@@ -10,9 +10,6 @@ from conftest import double, on_device, poses
 from hypothesis import given, settings
 from point_rays import on_rays
 
-from bench.reference import kinematics as naive_kinematics
-from bench.reference.silhouette import points as naive
-from bench.reference.silhouette import pose as naive_pose
 from jaxmocap.body.kinematics import forward, jacobian
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.surfaces.surface import BodyPoints, posed
@@ -20,6 +17,9 @@ from jaxmocap.geometry import twists
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.lines import Lines, camera_lines
 from jaxmocap.geometry.rotations import quaternion_to_matrix
+from jaxmocap.reference import kinematics as naive_kinematics
+from jaxmocap.reference.silhouette import points as naive
+from jaxmocap.reference.silhouette import pose as naive_pose
 from jaxmocap.silhouette.points import linearised_rays
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose, standard_deviations
 from jaxmocap.solvers.status import Status

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 from test_point_rays import ring
 
-from bench.reference.silhouette import index_image as naive
-from bench.reference.silhouette import rim as naive_rim
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import relaxed_pose, retract
 from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import posed, skin_of, skinned
 from jaxmocap.geometry.cameras import project, stack_cameras
+from jaxmocap.reference.silhouette import index_image as naive
+from jaxmocap.reference.silhouette import rim as naive_rim
 from jaxmocap.silhouette.points import contour_rays
 from jaxmocap.silhouette.surfaces.body_shape import FULL
 from jaxmocap.silhouette.surfaces.index_image import (

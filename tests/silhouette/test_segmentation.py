@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.displaced import displaced
-from bench.reference.silhouette import level_set as reference
 from bench.segmentation import region_about_mask
 from jaxmocap.capture.photographs import read_empty_room
 from jaxmocap.formats.files.errors import InputError
@@ -25,6 +24,7 @@ from jaxmocap.images.canvases import (
     silhouette_distance,
 )
 from jaxmocap.images.regions import Region
+from jaxmocap.reference.silhouette import level_set as reference
 from jaxmocap.silhouette.segmentation import densities
 from jaxmocap.silhouette.segmentation.background_models import background_of_picture
 from jaxmocap.silhouette.segmentation.contour import contours

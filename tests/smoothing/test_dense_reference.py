@@ -9,12 +9,12 @@ from conftest import double, in_double
 from painted_motion import CAMERAS, MODEL, PERSON, pose_at, views
 
 import jaxmocap
-from bench.reference import kinematics
-from bench.reference import smoothing as reference
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.reference import kinematics
+from jaxmocap.reference import smoothing as reference
 from jaxmocap.smoothing.functions import Events
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory

@@ -8,10 +8,10 @@ from conftest import double, on_device, poses, vectors
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.reference.hybrid import sdls as reference
 from jaxmocap.body.kinematics import forward, jacobian, site_positions
 from jaxmocap.body.kinematics import landmark_sites as landmarks_on_bones
 from jaxmocap.body.pose import Pose
+from jaxmocap.reference.hybrid import sdls as reference
 from jaxmocap.solvers import sdls
 
 EFFECTORS, DOF = 5, 27

@@ -10,7 +10,7 @@ import pytest
 from conftest import double, on_device
 from scipy import optimize
 
-from bench.reference.hybrid import simplex as reference
+from jaxmocap.reference.hybrid import simplex as reference
 from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
 
 TOLERANCE = 1e-8

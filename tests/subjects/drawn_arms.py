@@ -3,10 +3,10 @@
 import cv2
 import numpy as np
 
-from bench.reference import kinematics as reference
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.reference import kinematics as reference
 
 SIZE = (640, 480)
 MATRIX = np.array([[560.0, 0, 320], [0, 560, 240], [0, 0, 1]])

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from bench.reference import kinematics as reference
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.reference import kinematics as reference
 
 SKIN, SHIRT, TROUSERS = (110, 150, 215), (150, 60, 40), (50, 50, 45)
 BARE = ("radius", "hand", "head", "neck")

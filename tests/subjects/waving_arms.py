@@ -5,7 +5,7 @@ import numpy as np
 from drawn_arms import draw, limbs_of
 from watched_arms import FRONT, MARKERS, PERSON, TRUTH
 
-from bench.reference import kinematics as reference
+from jaxmocap.reference import kinematics as reference
 
 RATE = 30
 # For the reference, which takes one number at a time: NumPy is much faster at that.

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.reference.hybrid.ik import Pose, retract
-from bench.reference.hybrid.mass import centre_of_gravity
-from bench.reference.kinematics import (
+from jaxmocap.reference.hybrid.ik import Pose, retract
+from jaxmocap.reference.hybrid.mass import centre_of_gravity
+from jaxmocap.reference.kinematics import (
     LANDMARK_ENDS,
     forward,
     landmark_positions,

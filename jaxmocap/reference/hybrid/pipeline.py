@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench.reference import cameras
-from bench.reference.hybrid import balance, ik, raster, simplex
-from bench.reference.kinematics import bone_vector, forward, site_positions, turned
+from jaxmocap.reference import cameras
+from jaxmocap.reference.hybrid import balance, ik, raster, simplex
+from jaxmocap.reference.kinematics import bone_vector, forward, site_positions, turned
 
 LIMBS = ("humerus", "radius", "hand")
 

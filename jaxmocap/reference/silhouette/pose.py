@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from bench.reference.kinematics import forward
-from bench.reference.silhouette.points import Pose, difference, moved, posed, slopes
+from jaxmocap.reference.kinematics import forward
+from jaxmocap.reference.silhouette.points import Pose, difference, moved, posed, slopes
 
 # Of the lengths of normal errors in a plane, by the deviation of a component: their median.
 MEDIAN_OF_LENGTHS = np.sqrt(2 * np.log(2))

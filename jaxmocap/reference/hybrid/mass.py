@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.reference.kinematics import bone_vector
+from jaxmocap.reference.kinematics import bone_vector
 
 
 class AugmentedBodies(NamedTuple):

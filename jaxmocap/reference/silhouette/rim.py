@@ -6,7 +6,7 @@ OUTPUTS: the outline's cells with their nodes; which points are hidden.
 
 import numpy as np
 
-from bench.reference.silhouette.index_image import (
+from jaxmocap.reference.silhouette.index_image import (
     AROUND,
     body_mask,
     boundary_cells,

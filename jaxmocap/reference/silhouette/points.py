@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
-from bench.reference.kinematics import forward
+from jaxmocap.reference.kinematics import forward
 
 
 class Pose(NamedTuple):

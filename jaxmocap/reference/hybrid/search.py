@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from bench.reference import cameras
-from bench.reference.hybrid.pipeline import LIMBS, swing
-from bench.reference.kinematics import forward
+from jaxmocap.reference import cameras
+from jaxmocap.reference.hybrid.pipeline import LIMBS, swing
+from jaxmocap.reference.kinematics import forward
 
 FARTHEST_DEG, SPACING_DEG = 75.0, 10.0
 # Outline points on each side of a limb. Each end has one more, on the limb's axis.

@@ -6,7 +6,7 @@ silhouette, its weight. OUTPUTS: coverage (rows, columns) in [0, 1], and a sum o
 
 import numpy as np
 
-from bench.reference.hybrid.raster import signed_distance
+from jaxmocap.reference.hybrid.raster import signed_distance
 
 
 def coverage(

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.reference.hybrid import sdls
-from bench.reference.hybrid.mass import augmented_bodies
-from bench.reference.kinematics import forward, jacobian, quaternion_matrix, site_positions
+from jaxmocap.reference.hybrid import sdls
+from jaxmocap.reference.hybrid.mass import augmented_bodies
+from jaxmocap.reference.kinematics import forward, jacobian, quaternion_matrix, site_positions
 
 # Singular values below this fraction of the largest count as zero.
 RANK_TOLERANCE = 1e-5

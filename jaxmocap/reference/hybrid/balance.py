@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.reference.hybrid.ik import Pose, as_pose
-from bench.reference.hybrid.mass import base_of_support, centre_of_gravity
-from bench.reference.kinematics import forward, site_positions
+from jaxmocap.reference.hybrid.ik import Pose, as_pose
+from jaxmocap.reference.hybrid.mass import base_of_support, centre_of_gravity
+from jaxmocap.reference.kinematics import forward, site_positions
 
 SPINE = ("spine1", "spine2", "spine3")
 # A foot higher above the other, or above the ground, than this is lifted, metres.
