@@ -28,13 +28,13 @@ from jaxmocap.body.arms import arm_dofs, hang, swing
 from jaxmocap.body.kinematics import Sites, forward, points_on, site_positions
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.compilation.programs import Program
-from jaxmocap.evidence.markers import Goals
+from jaxmocap.evidence.markers import Goals, SearchedElbows
 from jaxmocap.hybrid import tracker as tracker_module
 from jaxmocap.hybrid.feet import FootPlacement
 from jaxmocap.hybrid.fit import Aims, refine_body
 from jaxmocap.hybrid.ik import goals_of
 from jaxmocap.hybrid.refine import refine_event
-from jaxmocap.hybrid.settings import IKSettings, Settings
+from jaxmocap.hybrid.settings import GradientSettings, IKSettings, Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.solvers.status import Status
 
@@ -43,20 +43,34 @@ DOFS = arm_dofs(PERSON.tree)
 EFFECTORS = MODEL.effectors
 ANKLES = [PERSON.tree.bone(f"foot_{side}") for side in "lr"]
 FREE = jnp.ones(PERSON.costs.shape, bool)
-# No search: the edges and the markers alone must do it.
-ALONE = Settings(region=SIZE, search=False)
+SEARCHED = Settings(region=SIZE)
+# What a search finds counts for nothing, by the same program: the edges and the markers alone must
+# do it.
+FAR_OFF = GradientSettings(elbows=SearchedElbows(deviation=1e4))
+ALONE = replace(SEARCHED, gradient=FAR_OFF)
+
+
+@jax.jit
+def places_of(pose):
+    """Markers and ankles of a pose."""
+    frames = forward(PERSON, pose)
+    return site_positions(PERSON, frames, MARKERS), frames.joints_world[np.array(ANKLES)]
 
 
 def markers_of(pose) -> np.ndarray:
-    return np.asarray(site_positions(PERSON, forward(PERSON, on_device(pose)), MARKERS))
+    return np.asarray(places_of(on_device(pose))[0])
+
+
+@jax.jit
+def _goals(ankles, targets):
+    feet = FootPlacement(ankles, jnp.zeros((), bool))
+    return goals_of(MODEL, IKSettings(), feet, targets)
 
 
 def goals_for(pose, mask=(True, True, True)) -> Goals:
     """The markers and feet of a pose."""
-    frames = forward(PERSON, on_device(pose))
-    feet = FootPlacement(frames.joints_world[np.array(ANKLES)], jnp.zeros((), bool))
-    targets = jnp.where(jnp.array(mask)[:, None], jnp.asarray(markers_of(pose)), jnp.nan)
-    return goals_of(MODEL, IKSettings(), feet, targets)
+    markers, ankles = places_of(on_device(pose))
+    return _goals(ankles, np.where(np.array(mask)[:, None], markers, np.float32(np.nan)))
 
 
 class Refined(NamedTuple):
@@ -167,11 +181,10 @@ def test_a_searched_elbow_draws_and_a_wild_one_hardly_more():
     start = pose_off_by(-0.3, 0.0)
     fields = observed(pictures(FRONT), CAMERAS, arms_in(start))
     fields = fields._replace(distances=np.full_like(np.asarray(fields.distances), 10.0))
-    chosen = replace(ALONE, search=True)
-    drawn = refined(start, fields=fields, chosen=chosen, elbows=true_arms().elbow)
+    drawn = refined(start, fields=fields, chosen=SEARCHED, elbows=true_arms().elbow)
     assert elbow_errors(arms_in(drawn.pose).elbow)[0] < 0.03
     wild = true_arms().elbow + jnp.array([0.0, 0.0, 0.5])
-    torn = refined(start, fields=fields, chosen=chosen, elbows=wild)
+    torn = refined(start, fields=fields, chosen=SEARCHED, elbows=wild)
     assert np.linalg.norm(markers_of(torn.pose) - markers_of(TRUTH), axis=1).max() < 0.02
 
 

@@ -254,9 +254,12 @@ def test_the_papers_markers_are_the_default(markers_only):
     assert actual.unmarked_feet == ("l", "r")
 
 
+SUNK = jax.jit(lambda depth: squat_goals(PERSON, depth).targets)
+
+
 def squatting(depth):
     """The markers of a squat, on the ground."""
-    targets = np.asarray(squat_goals(PERSON, depth).targets)
+    targets = np.asarray(SUNK(depth))
     foot = float(PERSON.diameters[PERSON.tree.bone("foot_l"), 0])
     return targets[:3] + np.array([0, 0, foot - targets[3, 2]])
 
