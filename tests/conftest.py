@@ -16,6 +16,9 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 # Much is compiled and little of it computed: without optimisation, compiling takes a third of the
 # time. What users run, optimised, the benchmark runs.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+# There is one worker to a core: BLAS's threads would wait for one another.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # As compilation/programs.py asks for, and without threads: there is one worker to a core. A release
 # that does not know the flags would not start.
 if version("jaxlib").startswith("0.10."):
@@ -69,8 +72,9 @@ def double():
 
 
 # Beyond so much memory, GiB, compiled programs are let go between two files. What a later file
-# needs of them is traced again and read from the folder of compiled programs.
-MOST_RESIDENT_GIB = 2.0
+# needs of them is traced again and read from the folder of compiled programs, which takes some
+# seconds for a tracker's.
+MOST_RESIDENT_GIB = 3.0
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -88,21 +92,14 @@ def programs_let_go():
                 ctypes.CDLL(None).malloc_trim(0)
 
 
-# Rooms in order of what their tests take; all others follow.
-LONGEST_ROOMS = ("hybrid", "silhouette", "smoothing", "pipelines", "evidence", "cli")
+# What takes longest comes first, so that workers end together (with --no-loadscope-reorder: xdist
+# would begin with files of many tests, however short they are).
+LONGEST_FILES = ("test_functions.py", "test_terms.py", "test_sensitivity.py")
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """With ``--dist loadgroup`` a room's tests, which share programs, go to one worker.
-
-    What takes longest comes first, so that workers end together (with --no-loadscope-reorder: xdist
-    would begin with rooms of many tests, however short they are).
-    """
-    order = {name: place for place, name in enumerate(LONGEST_ROOMS)}
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group(item.path.parent.name))
-    items.sort(key=lambda item: order.get(item.path.parent.name, len(order)))
+    """Files in order of what they take."""
+    items.sort(key=lambda item: item.path.name not in LONGEST_FILES)
 
 
 def complaint(read, *arguments, **options) -> str:

@@ -53,7 +53,8 @@ def lens() -> Camera:
 
 
 def numbers(*place: float) -> CameraPlace:
-    return CameraPlace(*(jnp.asarray(float(each)) for each in place))
+    """As the search has them: weakly typed, they would be compiled once more."""
+    return CameraPlace(*np.array(place, float))
 
 
 @pytest.fixture(scope="module", autouse=True)

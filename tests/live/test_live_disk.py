@@ -256,7 +256,8 @@ def test_a_recording_can_be_read_while_it_grows(tmp_path):
     recording = LiveRecording(live_setup(tmp_path), tmp_path / "out")
     record(recording, 1.0)
     end = time.monotonic() + 10
-    while recording._written_state != (True, [0]) and time.monotonic() < end:
+    while (recording._written_state or ())[:2] != (True, [0]):
+        assert time.monotonic() < end
         time.sleep(0.01)
     again = Recording.load(tmp_path / "out" / "recording.toml")
     assert len(again.times) > 20 and len(open_video(again.videos[0])) > 10

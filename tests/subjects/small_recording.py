@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
@@ -41,7 +42,8 @@ def standing() -> np.ndarray:
     """(M, 3) places of the markers on somebody who stands on the floor, world, metres."""
     skeleton = Skeleton.human(HEIGHT)
     sites = landmark_sites(skeleton, tuple(landmark for _, landmark in PLACES.values()))
-    points = np.asarray(site_positions(skeleton, forward(skeleton, relaxed_pose(skeleton)), sites))
+    places = jax.jit(lambda pose: site_positions(skeleton, forward(skeleton, pose), sites))
+    points = np.asarray(places(relaxed_pose(skeleton)))
     return points - [0, 0, points[:, 2].min() - 0.08]
 
 
