@@ -277,9 +277,19 @@ def test_markers_of_a_straight_motion_are_where_they_go(time, missing):
     assert np.allclose(markers_at(samples, time), [[time, 2 * time, 1.0], [0, 0, time]], atol=1e-6)
     samples[missing].markers_world[0] = np.nan
     found = markers_at(samples, time)
-    after = int(np.clip(np.searchsorted(at, time, side="right"), 1, 3))
-    assert np.isnan(found[0]).all() == (missing in (after - 1, after))
-    assert np.isfinite(found[1]).all()
+    assert np.allclose(found[1], [0, 0, time], atol=1e-6)
+    # By its other samples, unless the last two of them are too long ago.
+    newest, before = np.delete(at, missing)[[-1, -2]]
+    expected = [time, 2 * time, 1.0] if time <= 2 * newest - before else [np.nan] * 3
+    assert np.allclose(found[0], expected, atol=1e-6, equal_nan=True)
+
+
+def test_devices_that_send_in_turn_have_their_own_samples():
+    nothing = np.full(3, np.nan)
+    rows = [[[t, 0, 0], nothing] if i % 2 else [nothing, [0, t, 0]] for i, t in enumerate(TIMES)]
+    samples = [Sample(i, TIMES[i], np.array(row)) for i, row in enumerate(rows)]
+    time = (TIMES[-3] + TIMES[-2]) / 2
+    assert np.allclose(markers_at(samples, time), [[time, 0, 0], [0, time, 0]], atol=1e-6)
 
 
 def test_markers_beyond_a_gap_are_unknown():

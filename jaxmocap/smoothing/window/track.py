@@ -48,44 +48,51 @@ class Sample(NamedTuple):
 
 
 def markers_at(samples: Sequence[Sample], time: float) -> np.ndarray:
-    """(M, 3) metres between samples on a cubic, straight on for one interval beyond the last.
+    """(M, 3) metres between each marker's own samples on a cubic, beyond its last straight on.
 
-    NaN where a neighbour is missing, or neighbours are farther apart than ``LONGEST_INTERVAL_S``.
+    NaN where its samples about the time are farther apart than ``LONGEST_INTERVAL_S``, or the last
+    one is more than an interval ago.
 
     Args:
         samples: the newest, in order of time, at least one.
         time: seconds.
     """
-    after = sum(each.time <= time for each in samples)
-    start = min(after, len(samples) - 1) - 1
-    rows = np.clip(np.arange(start - 1, start + 3), 0, len(samples) - 1)
-    times = np.array([samples[row].time for row in rows])
-    points = np.stack([samples[row].markers_world for row in rows])
-    steps, spans = np.diff(points, axis=0), np.diff(times)
-    usable = (spans > 0) & (spans <= LONGEST_INTERVAL_S)
-    usable = usable[:, None, None] & np.isfinite(steps).all(-1, keepdims=True)
-    spans = np.where(usable, spans[:, None, None], ENDLESS_S)
-    share = (time - times[1]) / max(times[2] - times[1], 1 / ENDLESS_S)
+    times = np.array([each.time for each in samples])
+    points = np.stack([each.markers_world for each in samples])
+    present = np.isfinite(points).all(-1)
+    if present.all():
+        return _on_cubic(times, points, time)
+    # A device that is missing, or has packets of its own.
+    own = [present[:, marker] for marker in range(points.shape[1])]
+    return np.stack([_on_cubic(times[o], points[o, m], time) for m, o in enumerate(own)])
+
+
+def _on_cubic(times: np.ndarray, points: np.ndarray, time: float) -> np.ndarray:
+    """``markers_at`` of points (S, ...) that are all present at their times (S,)."""
+    if len(times) < 2:
+        return np.full(points.shape[1:], np.nan)
+    start = int(np.clip(np.searchsorted(times, time, side="right"), 1, len(times) - 1)) - 1
+    rows = np.clip(np.arange(start - 1, start + 3), 0, len(times) - 1)
+    (first, way, last), spans = np.diff(points[rows], axis=0), np.diff(times[rows])
+    share = (time - times[start]) / spans[1]
+    if spans[1] > LONGEST_INTERVAL_S or share > 2:
+        return np.full(points.shape[1:], np.nan)
     if share > 1:
-        there = points[1] + share * steps[1]
-        return np.where(usable[1] & (share <= 2), there, np.nan)
-    first, way, last = np.where(usable, steps, 0.0)
-    there = points[1] + cubic_step(first, way, last, spans, share)
-    return np.where(usable[1], there, np.nan)
+        return points[start] + share * way
+    beside = np.where((spans > 0) & (spans <= LONGEST_INTERVAL_S), spans, ENDLESS_S)
+    return points[start] + cubic_step(first, way, last, beside, share)
 
 
 def interpolate_markers(events: Sequence[WindowEvent], samples: Sequence[Sample]) -> None:
     """Give events that are no samples, frames between them, the markers that lie there.
 
     Args:
-        events: of the window; those of their own sample stay as they are.
+        events: of the window; those of a sample, and those before all of these, stay as they are.
         samples: the newest, in order of time.
     """
     numbers = {sample.number for sample in samples}
-    if len(samples) < 2:
-        return
     for event in events:
-        if event.number not in numbers:
+        if samples and event.time >= samples[0].time and event.number not in numbers:
             there = markers_at(samples, event.time).astype(event.measured["markers"].dtype)
             event.measured = {**event.measured, "markers": there}
 
