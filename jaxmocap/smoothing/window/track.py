@@ -59,7 +59,7 @@ def markers_at(samples: Sequence[Sample], time: float) -> np.ndarray:
     """
     times = np.array([each.time for each in samples])
     points = np.stack([each.markers_world for each in samples])
-    present = np.isfinite(points).all(-1)
+    present = np.asarray(np.isfinite(points).all(-1))
     if present.all():
         return _on_cubic(times, points, time)
     # A device that is missing, or has packets of its own.
