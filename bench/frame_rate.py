@@ -111,7 +111,7 @@ def causal(
         if smoother is None:
             state, *found = tracker.step(state, time, markers[event], images, clock)
             jax.tree.map(np.asarray, found)
-        elif not smoother.lies_between(time, images):
+        elif not smoother.lies_between(time, images, markers[event]):
             state, *found = tracker.solve(state, markers[event], clock)
             _, report = jax.tree.map(np.asarray, found)
         clock.spans["step"] = step.read()

@@ -10,7 +10,7 @@ not jump (``fading``).
     smoother = FixedLagSmoother(tracker.model, settings.smoothing)
     for time, markers, image in ...:  # NaN and None where there is nothing new
         report = None
-        if not smoother.lies_between(time, [image]):
+        if not smoother.lies_between(time, [image], markers):
             state, _, report = tracker.solve(state, markers)
         for final in smoother.step(time, markers, [image], report):
             ...  # final.number, final.time, final.pose, final.deviations
@@ -20,7 +20,6 @@ INPUTS: markers, images, a tracker's reports on them. OUTPUTS: smoothed poses, a
 """
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -37,9 +36,11 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import landmark_deviations
 from jaxmocap.smoothing.window.equations import WindowEquations
 from jaxmocap.smoothing.window.events import (
+    Images,
     ReportedStep,
     StepReported,
     WindowEvent,
+    WindowFrame,
     any_image,
     expected_at,
     offsets,
@@ -67,12 +68,13 @@ KEPT_S = 0.2
 # A marker sample is an event of the window so many seconds after the last one, and where no event
 # of the window has an image; others lie between. A video's frames are events enough.
 EVENT_S, EVENT_UNSEEN_S = 0.045, 0.015
+# So is one with a marker that is farther away than this, metres, than in the last sample.
+JUMP_M = 0.3
 # Samples that frames between them take their markers from.
 RECENT_SAMPLES = 40
-# Events that wait for the next video frame before the window is solved without one,
-MOST_WAITING = 3
-# and where no event of the window has one: nothing more is to come.
-MOST_WAITING_UNSEEN = 2
+# Events that wait for the next video frame before the window is solved without one, and where no
+# event of the window has one: nothing more is to come.
+MOST_WAITING, MOST_WAITING_UNSEEN = 3, 2
 # Deviations are found at one video frame in so many, and hold until the next one.
 SURE_EVERY = 5
 # Silhouettes err alike from frame to frame. So deviations are so many times larger than by counting
@@ -135,8 +137,8 @@ class FixedLagSmoother:
     def _begin(self) -> None:
         """No events, no marginal prior; the learned room and the person's colours stay."""
         self._window.begin()
-        self._marker_pose: np.ndarray | None = None
         self._facing = RunningFacing()
+        self._marker_pose: np.ndarray | None = None
         self._fading: Fading | None = None
         # Number and pose of the event given out last.
         self._last_given: tuple[int, Pose] | None = None
@@ -150,7 +152,7 @@ class FixedLagSmoother:
         self,
         time: float,
         markers_world: np.ndarray | Array,
-        images: Sequence[np.ndarray | None] | None,
+        images: Images,
         report: StepReported | None,
     ) -> list[SmoothedPose]:
         """One step of the tracker.
@@ -170,13 +172,14 @@ class FixedLagSmoother:
         final: list[SmoothedPose] = []
         sample = Sample(self._count, float(time), np.asarray(markers_world))
         self._count += 1
-        if self.lies_between(time, images):
+        is_placed = report is not None and bool(report.placed)
+        if not is_placed and self.lies_between(time, images, sample.markers_world):
             self._samples.append(sample)
             self._between.append(sample)
             return final
         assert report is not None, "a step that does not lie between others has a report"
         last = self._last_time()
-        if last is not None and (bool(report.placed) or time - last > LONGEST_GAP_S):
+        if last is not None and (is_placed or time - last > LONGEST_GAP_S):
             final += self.flush()
         if np.isfinite(sample.markers_world).any():
             self._samples.append(sample)
@@ -186,11 +189,13 @@ class FixedLagSmoother:
             return final
         return final + self._settle(final=False)
 
-    def lies_between(self, time: float, images: Sequence[np.ndarray | None] | None) -> bool:
-        """Whether a step follows the last event so closely that it lies between two of them."""
-        last = self._last_time()
-        apart = EVENT_S if self._is_seen else EVENT_UNSEEN_S
-        return last is not None and time - last < apart and not any_image(images)
+    def lies_between(self, time: float, images: Images, markers_world: np.ndarray) -> bool:
+        """Whether a step follows the last event closely, and its markers (M, 3) the last sample."""
+        last, apart = self._last_time(), EVENT_S if self._is_seen else EVENT_UNSEEN_S
+        if last is None or time - last >= apart or any_image(images):
+            return False
+        before = self._samples[-1].markers_world if self._samples else markers_world
+        return not (np.abs(np.asarray(markers_world) - before) > JUMP_M).any()
 
     def flush(self) -> list[SmoothedPose]:
         """The poses that still wait, as they are; the next step begins a new motion."""
@@ -234,22 +239,17 @@ class FixedLagSmoother:
             events.append(WindowEvent(step.number, step.time, measured, there.pose, frames))
         interpolate_markers(events, self._samples)
 
-    def _frames(
-        self, images: Sequence[np.ndarray | None] | None, pose: Pose
-    ) -> list[tuple[int, MeasuredFrame, tuple[int, int]]]:
+    def _frames(self, images: Images, pose: Pose) -> list[WindowFrame]:
         """Camera, what its image shows about a pose, width and height; of new images only."""
-        pairs = enumerate(zip(self._appearances, images or (), strict=False))
         return [
-            (camera, self._measured(appearance, image, pose), (image.shape[1], image.shape[0]))
-            for camera, (appearance, image) in pairs
+            (camera, self._measured(camera, image, pose), (image.shape[1], image.shape[0]))
+            for camera, image in enumerate(images or ())
             if image is not None
         ]
 
-    def _measured(
-        self, appearance: RunningAppearance, image: np.ndarray, pose: Pose
-    ) -> MeasuredFrame:
+    def _measured(self, camera: int, image: np.ndarray, pose: Pose) -> MeasuredFrame:
         """What a camera shows about a pose, weighted as in the settings."""
-        frame = appearance.measure(image, pose, SOFTNESS)
+        frame = self._appearances[camera].measure(image, pose, SOFTNESS)
         return frame._replace(grids=self.settings.silhouettes.weighted(frame.grids))
 
     def _settle(self, final: bool) -> list[SmoothedPose]:

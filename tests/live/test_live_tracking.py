@@ -79,7 +79,7 @@ class Smoother:
         deviations = np.zeros((len(LANDMARKS), 3))
         return [SmoothedPose(len(self.times) - 1, time, pose, deviations, np.zeros(len(LANDMARKS)))]
 
-    def lies_between(self, time, images):
+    def lies_between(self, time, images, markers_world):
         return False
 
     def flush(self):

@@ -233,10 +233,11 @@ def test_samples_that_follow_a_frame_closely_lie_on_the_track_beside_their_marke
     smoother, shown, out, count = smoother_of(), images(), [], 12
     between = (markers()[:-1] + markers()[1:]) / 2
     for i in range(count):
-        assert not smoother.lies_between(TIMES[i], [shown[i]])
+        assert not smoother.lies_between(TIMES[i], [shown[i]], markers()[i])
         out += smoother.step(TIMES[i], markers()[i], [shown[i]], report(i))
         later = TIMES[i] + 0.4 / RATE
-        assert smoother.lies_between(later, None)
+        assert smoother.lies_between(later, None, between[i])
+        assert not smoother.lies_between(later, None, between[i] + 1.5)
         out += smoother.step(later, between[i], None, None)
     out += smoother.flush()
     assert [each.number for each in out] == list(range(2 * count))

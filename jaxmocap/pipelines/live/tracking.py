@@ -275,7 +275,7 @@ class LiveTracking:
             filled = self._recent_markers.at(event.time)
             measured = np.full_like(filled, np.nan)
         report = None
-        if not self._smoother.lies_between(event.time, images):
+        if not self._smoother.lies_between(event.time, images, measured):
             _, report = self._step(event.time, filled, images)
         self._arrivals.append((self._events, arrived))
         self._events += 1

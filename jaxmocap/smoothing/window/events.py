@@ -24,6 +24,8 @@ from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.smoothing.window.equations import LinearEvent
 
+# A frame of each camera, None where there is no new one.
+Images = Sequence[np.ndarray | None] | None
 # Of what an ``Expected`` holds beside the pose.
 _EXPECTED_SHAPES = np.empty(2), np.empty(2), np.empty((2, 3))
 # Events per call, so that they compile once.
@@ -51,7 +53,7 @@ class ReportedStep(NamedTuple):
     number: int
     time: float
     markers_world: np.ndarray | Array
-    images: Sequence[np.ndarray | None] | None
+    images: Images
     report: StepReported
 
     @property
@@ -60,7 +62,7 @@ class ReportedStep(NamedTuple):
         return any_image(self.images)
 
 
-def any_image(images: Sequence[np.ndarray | None] | None) -> bool:
+def any_image(images: Images) -> bool:
     """Whether any camera has a new one."""
     return any(image is not None for image in images or ())
 
@@ -145,6 +147,10 @@ def _moved(skeleton: Skeleton, poses: Array, steps: Array) -> tuple[Array, Array
     return pack(there), jnp.reshape(points, (len(points), -1))
 
 
+# A camera, what was measured in its frame, width and height of that.
+WindowFrame = tuple[int, MeasuredFrame, tuple[int, int]]
+
+
 @dataclass
 class WindowEvent:
     """One step of the tracker, while it can still change.
@@ -154,7 +160,7 @@ class WindowEvent:
         time: seconds.
         measured: of it besides its silhouettes.
         pose: as it is now.
-        frames: camera, what was measured in its frame, width and height of that.
+        frames: of the cameras that had a new one.
         linear: all that it costs, about a pose near by; None before the first solve.
         step: (N,) from that pose to the present one.
         learned: whether the frames were learned from.
@@ -164,7 +170,7 @@ class WindowEvent:
     time: float
     measured: Measurements
     pose: Pose
-    frames: list[tuple[int, MeasuredFrame, tuple[int, int]]]
+    frames: list[WindowFrame]
     linear: LinearEvent | None = None
     step: np.ndarray = field(default_factory=lambda: np.zeros(0))
     learned: bool = False
