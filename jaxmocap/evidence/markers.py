@@ -15,13 +15,12 @@ from jaxmocap.body.kinematics import (
     forward,
     jacobian,
     landmark_sites,
-    points_on,
     site_positions,
 )
 from jaxmocap.body.model import Model
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.compilation.settings import settings, traced
-from jaxmocap.evidence.terms import Measurements, PosedBody, Term
+from jaxmocap.evidence.terms import Measurements, PosedBody, Term, points_of
 
 
 def are_present(targets: Array | np.ndarray) -> Array:
@@ -84,10 +83,7 @@ class PointGoals(Term):
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(M, 3) of the goals' M points."""
         goals = measured["goals"]
-        if body.frames is None:
-            points = points_on(model.skeleton, body.pose, goals.sites)
-        else:
-            points = site_positions(model.skeleton, body.frames, goals.sites)
+        points = points_of(model.skeleton, body.pose, body.frames, goals.sites)
         return goals.weights[:, None] * goals.off(points) / self.deviation
 
     def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:

@@ -27,7 +27,7 @@ from jaxmocap.body.kinematics import (
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.proportions import scaled
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
 
@@ -187,16 +187,19 @@ def posed_body(model: Model, pose: Pose, frames: Frames | None = None) -> PosedB
         frames: of its bones, where somebody has them and asks for no derivative by the pose.
     """
     skeleton, markers = model.skeleton, len(model.markers.bone_indices)
-    sites = body_sites(model)
-    if frames is None:
-        points = points_on(skeleton, pose, sites)
-    else:
-        points = site_positions(skeleton, frames, sites)
+    points = points_of(skeleton, pose, frames, body_sites(model))
     on_markers, landmarks, in_bones = jnp.split(points, [markers, markers + len(LANDMARKS)])
     shares = skeleton.masses / jnp.sum(skeleton.masses)
     gravity = jnp.matmul(shares, in_bones, precision=HIGHEST)
     R_world_pelvis = quaternion_to_matrix(pose.quaternion)
     return PosedBody(on_markers, landmarks, R_world_pelvis, gravity, pose, frames)
+
+
+def points_of(skeleton: Skeleton, pose: Pose, frames: Frames | None, sites: Sites) -> Array:
+    """Points (M, 3) on bones, world, metres: by the bones' frames, where somebody has them."""
+    if frames is None:
+        return points_on(skeleton, pose, sites)
+    return site_positions(skeleton, frames, sites)
 
 
 def body_sites(model: Model) -> Sites:

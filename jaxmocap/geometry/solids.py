@@ -17,7 +17,7 @@ class Solid(NamedTuple):
     Attributes:
         vertices: (V, 3) in the bone's frame, metres.
         normals: (V, 3) unit, outward.
-        triangles: (F, 3) vertex indices, counter-clockwise as seen from outside.
+        triangles: (F, 3) vertex indices, counter-clockwise from outside.
     """
 
     vertices: np.ndarray

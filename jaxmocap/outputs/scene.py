@@ -164,18 +164,18 @@ class Floor(NamedTuple):
 
 
 def floor_of(scene: BodyScene, pieces: Mapping[str, Solid]) -> Floor | None:
-    """The floor on which a body stands; None where no pose is known."""
-    is_known = np.isfinite(scene.near).all((1, 2))
-    if not is_known.any():
+    """The floor on which a body stands; None without a pose."""
+    is_present = np.isfinite(scene.near).all((1, 2))
+    if not is_present.any():
         return None
-    known = np.flatnonzero(is_known)
-    some = known[:: -(-len(known) // MOST_SAMPLES)]
+    present = np.flatnonzero(is_present)
+    some = present[:: -(-len(present) // MOST_SAMPLES)]
     lowest = np.full(len(some), np.inf)
     for bone, solid in pieces.items():
         i = scene.tree.bone(bone)
         heights = scene.R_world_bone[some, i, 2] @ solid.vertices.T
         lowest = np.minimum(lowest, scene.near[some, i, 2] + heights.min(1))
-    places = scene.near[known][..., :2].reshape(-1, 2)
+    places = scene.near[present][..., :2].reshape(-1, 2)
     low, high = places.min(0), places.max(0)
     half = min(float((high - low).max()) / 2 + MARGIN_M, LARGEST_M)
     return Floor(float(np.percentile(lowest, LOWEST_PERCENT)), (low + high) / 2, half)

@@ -79,7 +79,7 @@ class SurfaceMesh(NamedTuple):
     Attributes:
         nodes: (V,) the surface's node at each vertex.
         places: (V, 2) on the atlas, from 0 to 1, rightwards and downwards.
-        triangles: (F, 3) vertices, counter-clockwise as seen from outside.
+        triangles: (F, 3) vertices, counter-clockwise from outside.
     """
 
     nodes: np.ndarray

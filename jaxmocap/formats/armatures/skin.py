@@ -36,7 +36,7 @@ class SkinnedMesh:
     Attributes:
         vertices: (V, 3) where they are bound, metres.
         normals: (V, 3) unit, outward.
-        triangles: (F, 3) of vertices, counter-clockwise as seen from outside.
+        triangles: (F, 3) of vertices, counter-clockwise from outside.
         joints: (V, 4) which carry a vertex.
         weights: (V, 4) of them, together 1.
         bind: (J, 4, 4) from where vertices are bound to each joint's frame.

@@ -93,7 +93,7 @@ def _arm(model: PersonModel, skeleton: Skeleton, k: int) -> BodySlices:
 def _leg(
     model: PersonModel, skeleton: Skeleton, hip: np.ndarray, k: int, spread: float
 ) -> BodySlices:
-    """Edges seen across a spread thigh are as far from its bone at rest."""
+    """Edges across a spread thigh are as far from its bone at rest."""
     legs, sign = model.legs, SIDES[k][1]
     joint = rest_joints(skeleton)[skeleton.tree.bone(f"femur_{SIDES[k][0]}")]
     down = hip[2] - legs.heights
