@@ -4,8 +4,8 @@ A stranger's bytes may hang FFmpeg, take all memory, or worse. As a script it im
 this package.
 
 INPUTS: an address, "grey" or "colour", the most pixels an image may have. OUTPUTS: on standard
-output for each frame three little-endian 32-bit numbers (height, width, channels) and its pixels;
-at the end zeros, and a sentence if something went wrong.
+output for each frame three little-endian 32-bit numbers (height, width, layout) and its pixels, as
+grey, BGR, or Y, U and V in planes; at the end zeros, and a sentence if something went wrong.
 """
 
 import faulthandler
@@ -51,6 +51,12 @@ MAX_MEMORY_BYTES = 2**31
 # Each thread takes addresses.
 THREADS = 2
 HEADER = struct.Struct("<III")
+# Layouts of an image, and rows of bytes for each of its rows, times channels. Planes are half of
+# BGR: U and V have half the width and half the height, all full rows below Y's (I420).
+GREY, PLANES, BGR = 1, 2, 3
+SHAPES = {GREY: (1.0, ()), PLANES: (1.5, ()), BGR: (1.0, (3,))}
+# What OpenCV takes planes for: ITU-R BT.601 of limited range, or not stated.
+PLANE_COLOURS, PLANE_RANGES = (2, 5, 6), (0, 1)
 
 
 def decoder_options(max_pixels: int) -> dict[str, str]:
@@ -68,7 +74,12 @@ def refused_codec(stream: VideoStream) -> str | None:
 
 
 def image_of(frame: VideoFrame, luma: bool) -> np.ndarray:
-    """A frame as BGR or grey array, rotated upright as its file states."""
+    """A frame as BGR or grey array of its own, rotated upright as its file states."""
+    return np.array(_shared_image(frame, luma), order="C")
+
+
+def _shared_image(frame: VideoFrame, luma: bool) -> np.ndarray:
+    """The same, perhaps in the frame's own memory."""
     if luma and frame.format.name in ("yuv420p", "yuvj420p", "nv12", "gray"):
         plane = frame.planes[0]
         # A plane is a buffer, which its type stubs do not say.
@@ -76,12 +87,23 @@ def image_of(frame: VideoFrame, luma: bool) -> np.ndarray:
         image = rows.reshape(-1, plane.line_size)[: frame.height, : frame.width]
     else:
         image = frame.to_ndarray(format="gray" if luma else "bgr24")
-    upright = np.rot90(image, round(frame.rotation / 90))
-    return np.array(upright, order="C")
+    return np.rot90(image, round(frame.rotation / 90))
 
 
-def stream_images(url: str, luma: bool, max_pixels: int) -> Iterator[np.ndarray]:
-    """Frames of at most so many pixels of a network stream, as they come, until it ends.
+def piped_image(frame: VideoFrame, luma: bool) -> tuple[int, np.ndarray]:
+    """A frame's layout and its array, in planes where it has them and OpenCV can convert them.
+
+    While the frame lives.
+    """
+    has_planes = frame.format.name == "yuv420p" and frame.width % 2 == frame.height % 2 == 0
+    is_plain = frame.colorspace in PLANE_COLOURS and frame.color_range in PLANE_RANGES
+    if luma or not has_planes or not is_plain or frame.rotation:
+        return (GREY if luma else BGR), np.ascontiguousarray(_shared_image(frame, luma))
+    return PLANES, frame.to_ndarray()
+
+
+def stream_images(url: str, luma: bool, max_pixels: int) -> Iterator[tuple[int, np.ndarray]]:
+    """``piped_image`` of frames of at most so many pixels of a network stream, until it ends.
 
     Raises:
         ValueError: it has no video, or none that is decoded.
@@ -93,7 +115,9 @@ def stream_images(url: str, luma: bool, max_pixels: int) -> Iterator[np.ndarray]
         yield from _images(container, luma, max_pixels)
 
 
-def _images(container: InputContainer, luma: bool, max_pixels: int) -> Iterator[np.ndarray]:
+def _images(
+    container: InputContainer, luma: bool, max_pixels: int
+) -> Iterator[tuple[int, np.ndarray]]:
     if not container.streams.video:
         raise ValueError("has no video stream")
     stream = container.streams.video[0]
@@ -114,20 +138,21 @@ def _images(container: InputContainer, luma: bool, max_pixels: int) -> Iterator[
             continue
         for frame in decoded:
             if not frame.is_corrupt and frame.width * frame.height <= max_pixels:
-                yield image_of(frame, luma)
+                yield piped_image(frame, luma)
 
 
-def write_images(images: Iterator[np.ndarray]) -> None:
+def write_images(images: Iterator[tuple[int, np.ndarray]]) -> None:
     """Hand them on; the process ends where one takes too long."""
     output, reason = sys.stdout.buffer, ""
     try:
         while True:
             faulthandler.dump_traceback_later(FRAME_LIMIT_S, exit=True)
-            if (image := next(images, None)) is None:
+            if (each := next(images, None)) is None:
                 break
             faulthandler.cancel_dump_traceback_later()
-            height, width = image.shape[:2]
-            output.write(HEADER.pack(height, width, image.size // (height * width)))
+            layout, image = each
+            height = round(len(image) / SHAPES[layout][0])
+            output.write(HEADER.pack(height, image.shape[1], layout))
             output.write(image.data)
             output.flush()
     except (FFmpegError, OSError, ValueError) as error:

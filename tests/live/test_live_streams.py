@@ -37,8 +37,8 @@ def write_clip(to: str, kind: str, codec: str = "libx264", frames: int = 100, pa
         stream.width, stream.height = SIZE
         stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
         for i in range(frames):
-            picture = av.VideoFrame.from_ndarray(np.full(SIZE[::-1], i, np.uint8), format="gray")
-            container.mux(stream.encode(picture))
+            image = np.full((*SIZE[::-1], 3), (i, 80, 200), np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
             time.sleep(pace_s)
         container.mux(stream.encode())
 
@@ -72,6 +72,8 @@ def test_a_stream_of_far_larger_images_than_calibrated_is_not_decoded(tmp_path):
         assert len(frames) >= 20 and frames[0].shape == SIZE[::-1]
         colour = next(stream_frames(f"tcp://127.0.0.1:{port}", True, MOST))
         assert colour.shape == (*SIZE[::-1], 3)
+        # Blue grows from frame to frame.
+        assert np.abs(colour[..., 1:] - np.array([80, 200])).max() <= 5
         with pytest.raises(InputError, match="images of 96 × 72 pixels, far more"):
             list(stream_frames(f"tcp://127.0.0.1:{port}", False, 1000))
 

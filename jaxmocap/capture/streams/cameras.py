@@ -191,19 +191,28 @@ def stream_frames(url: str, colour: bool, max_pixels: int) -> Images:
         try:
             _widen(process.stdout)
             while len(header := process.stdout.read(decoding.HEADER.size)) == decoding.HEADER.size:
-                height, width, channels = decoding.HEADER.unpack(header)
+                height, width, layout = decoding.HEADER.unpack(header)
                 if not height:
                     if reason := process.stdout.read(MAX_REASON_BYTES).decode(errors="replace"):
                         raise InputError(short_repr(url), reason)
                     return
                 # Whoever has sent may write here by now.
-                if channels not in (1, 3) or height * width > max_pixels:
+                if layout not in decoding.SHAPES or height * width > max_pixels:
                     break
-                image = np.frombuffer(process.stdout.read(height * width * channels), np.uint8)
-                yield image.reshape((height, width, channels)[: 2 if channels == 1 else 3])
+                rows, channels = decoding.SHAPES[layout]
+                shape = round(rows * height), width, *channels
+                image = np.frombuffer(process.stdout.read(math.prod(shape)), np.uint8)
+                yield _shown(image.reshape(shape), layout)
             raise InputError(short_repr(url), "the process that decodes it has ended")
         finally:
             process.kill()
+
+
+def _shown(image: np.ndarray, layout: int) -> np.ndarray:
+    """Grey or BGR, of an image in any of the layouts."""
+    import cv2
+
+    return cv2.cvtColor(image, cv2.COLOR_YUV2BGR_I420) if layout == decoding.PLANES else image
 
 
 def _widen(pipe: IO[bytes]) -> None:
