@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
-from rerun.blueprint import Blueprint
 
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.tree import Tree
@@ -41,7 +40,7 @@ DEVIATION_COLOUR = (90, 110, 190, 45)
 
 
 @contextmanager
-def recording(path: Path, blueprint: Blueprint) -> Iterator[rr.RecordingStream]:
+def recording(path: Path) -> Iterator[rr.RecordingStream]:
     """A stream into a file, which is written at the end.
 
     Until then it is in memory, which holds some 2 kB a sample, the few images and surfaces. On a
@@ -52,7 +51,6 @@ def recording(path: Path, blueprint: Blueprint) -> Iterator[rr.RecordingStream]:
     """
     stream = rr.RecordingStream("jaxmocap")
     content = stream.binary_stream()
-    stream.send_blueprint(blueprint)
     try:
         yield stream
         # Each read gives a complete file, so it is read at once.
@@ -158,7 +156,7 @@ def send_strips(
     """(T, N, P, 2 or 3) lines. One with a NaN becomes a point, which keeps the others' colours."""
     is_finite = np.isfinite(strips).all((-1, -2), keepdims=True)
     drawn = np.where(is_finite, strips, 0.0).astype(np.float32)
-    columns = archetype.columns(strips=list(drawn.reshape(-1, *drawn.shape[2:])))
+    columns = archetype.columns(strips=drawn.reshape(-1, *drawn.shape[2:]))
     counts = np.full(len(drawn), drawn.shape[1])
     stream.send_columns(entity, [at_times(times)], columns.partition(counts))
 

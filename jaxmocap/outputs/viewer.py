@@ -23,8 +23,8 @@ from jaxmocap.outputs.scene import BodyScene, floor_of, make_scene
 if TYPE_CHECKING:
     from rerun import RecordingStream
 
-# Samples of a motion in a recording, at most: 50 minutes at 30 Hz.
-MOST_SAMPLES = 90_000
+# Samples of a motion in a recording, at most: half an hour at 30 Hz.
+MOST_SAMPLES = 60_000
 # Of images, 1 to 100.
 JPEG_QUALITY = 75
 # Samples that the viewer's library takes at once: it needs twenty times what they are in the file.
@@ -75,34 +75,48 @@ def write_rerun(
     Raises:
         OutputError: the disk is full; what was there before is as it was.
     """
+    from jaxmocap.outputs import recorder
+
+    step = shown_every(motion)
+    targets = {name: positions[::step] for name, positions in (targets or {}).items()}
+    shown, footage = every_nth(motion, step), dict(footage or {})
+    with replacing(path) as beside, recorder.recording(beside) as stream:
+        # What it makes of the motion is gone before the file is, or both would be in memory.
+        _log_motion(stream, shown, footage, targets, surface, picture)
+
+
+def _log_motion(
+    stream: "RecordingStream",
+    motion: Motion,
+    footage: Mapping[str, Footage],
+    targets: Mapping[str, np.ndarray],
+    surface: Surface | None,
+    picture: np.ndarray | None,
+) -> None:
+    """The layout and all that it shows; see ``write_rerun``."""
     from jaxmocap.outputs import layout, recorder, viewer_skin
 
-    footage, step = dict(footage or {}), shown_every(motion)
-    motion = every_nth(motion, step)
-    targets = {name: positions[::step] for name, positions in (targets or {}).items()}
     scene, pieces = make_scene(motion), body_pieces(motion.skeleton)
     floor, uncertainty = floor_of(scene, pieces), uncertainty_of(motion)
     fields = {name: list(shot.fields) for name, shot in footage.items()}
-    blueprint = layout.lay_out(fields, scene, floor)
-    shown = {} if surface else pieces
-    with replacing(path) as beside, recorder.recording(beside, blueprint) as stream:
-        recorder.log_pieces(stream, scene.tree, shown, floor)
-        recorder.log_styles(stream, targets)
-        for first in range(0, len(scene.times), SAMPLES_AT_ONCE):
-            rows = slice(first, first + SAMPLES_AT_ONCE)
-            recorder.log_body(stream, scene.part(rows))
-            recorder.log_targets(
-                stream, scene.times[rows], {name: at[rows] for name, at in targets.items()}
-            )
-            if uncertainty is not None:
-                recorder.log_deviations(stream, uncertainty.part(rows))
-        if surface is not None:
-            viewer_skin.log_skin(stream, motion, surface, picture)
-        recorder.log_angles(stream, motion)
-        if motion.report is not None:
-            recorder.log_report(stream, scene.times, motion.report)
-        for name, shot in footage.items():
-            _log_footage(stream, name, shot, scene, uncertainty, targets)
+    stream.send_blueprint(layout.lay_out(fields, scene, floor))
+    recorder.log_pieces(stream, scene.tree, {} if surface else pieces, floor)
+    recorder.log_styles(stream, targets)
+    for first in range(0, len(scene.times), SAMPLES_AT_ONCE):
+        rows = slice(first, first + SAMPLES_AT_ONCE)
+        recorder.log_body(stream, scene.part(rows))
+        recorder.log_targets(
+            stream, scene.times[rows], {name: at[rows] for name, at in targets.items()}
+        )
+        if uncertainty is not None:
+            recorder.log_deviations(stream, uncertainty.part(rows))
+    if surface is not None:
+        viewer_skin.log_skin(stream, motion, surface, picture)
+    recorder.log_angles(stream, motion)
+    if motion.report is not None:
+        recorder.log_report(stream, scene.times, motion.report)
+    for name, shot in footage.items():
+        _log_footage(stream, name, shot, scene, uncertainty, targets)
 
 
 def _log_footage(
