@@ -14,6 +14,8 @@ from jaxmocap.outputs.scene import BodyScene, Floor
 TIMELINE = "time"
 # Root entities of time series that several recorders log.
 ANGLES, DEVIATIONS = "joint_angles", "elbow_deviations"
+# Root entity of the text on what determines each landmark.
+WHY = "why"
 # Entity -> title of its view; the first two are shown at once.
 SERIES = {
     ANGLES: "Joint angles [°]",
@@ -37,6 +39,7 @@ def lay_out(
     floor: Floor | None = None,
     series: Mapping[str, str] = SERIES,
     live: bool = False,
+    why: bool = False,
 ) -> rrb.Blueprint:
     """Body to the left, all cameras to the right, two time series below; the rest behind tabs.
 
@@ -48,6 +51,7 @@ def lay_out(
         floor: under it, shown with a grid.
         series: entities of time series and titles of their views.
         live: whether data still come.
+        why: whether there is a text ``WHY``.
     """
     body = rrb.Spatial3DView(
         origin="/world",
@@ -66,11 +70,13 @@ def lay_out(
         rrb.TimeSeriesView(origin=f"/{entity}", name=title, plot_legend=legend)
         for entity, title in series.items()
     ]
-    statuses = rrb.TextLogView(origin="/statuses", name="Statuses")
+    texts: list[rrb.View] = [rrb.TextLogView(origin="/statuses", name="Statuses")]
+    if why:
+        texts.append(rrb.TextDocumentView(origin=f"/{WHY}", name="Why [± cm]"))
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(*top),
-            rrb.Horizontal(*curves[:2], rrb.Tabs(statuses, *curves[2:]), column_shares=[3, 3, 2]),
+            rrb.Horizontal(*curves[:2], rrb.Tabs(*texts, *curves[2:]), column_shares=[3, 3, 2]),
             row_shares=[5, 2],
         ),
         rrb.TimePanel(

@@ -21,7 +21,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.rotations import quaternion_from_matrix
 from jaxmocap.geometry.solids import Solid
 from jaxmocap.outputs.ellipses import Uncertainty
-from jaxmocap.outputs.layout import ANGLES, DEVIATIONS, TIMELINE, entity_path
+from jaxmocap.outputs.layout import ANGLES, DEVIATIONS, TIMELINE, WHY, entity_path
 from jaxmocap.outputs.scene import BodyScene, Floor
 
 # RGB of the middle, the left and the right of the body: bones, outlines and lines of plots.
@@ -241,6 +241,19 @@ def log_report(stream: rr.RecordingStream, times: np.ndarray, report: Report) ->
     if statuses:
         at, texts = zip(*statuses, strict=True)
         stream.send_columns("statuses", [at_times(np.array(at))], rr.TextLog.columns(text=texts))
+
+
+def log_why(stream: rr.RecordingStream, deviations_m: Mapping[str, Mapping[str, float]]) -> None:
+    """A table of each landmark's deviation without each part of the evidence, centimetres."""
+    parts = list(dict.fromkeys(part for own in deviations_m.values() for part in own))
+    rows = [["without", *parts], ["---"] * (len(parts) + 1)]
+    rows += [
+        [name, *(f"{100 * own[part]:.1f}" if part in own else "" for part in parts)]
+        for name, own in deviations_m.items()
+    ]
+    text = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+    stream.log(WHY, document, static=True)
 
 
 def _send_series(

@@ -99,7 +99,8 @@ def _log_motion(
     scene, pieces = make_scene(motion), body_pieces(motion.skeleton)
     floor, uncertainty = floor_of(scene, pieces), uncertainty_of(motion)
     fields = {name: list(shot.fields) for name, shot in footage.items()}
-    stream.send_blueprint(layout.lay_out(fields, scene, floor))
+    without = motion.report.settings.get("deviations_without_m") if motion.report else None
+    stream.send_blueprint(layout.lay_out(fields, scene, floor, why=bool(without)))
     recorder.log_pieces(stream, scene.tree, {} if surface else pieces, floor)
     recorder.log_styles(stream, targets)
     for first in range(0, len(scene.times), SAMPLES_AT_ONCE):
@@ -115,6 +116,8 @@ def _log_motion(
     recorder.log_angles(stream, motion)
     if motion.report is not None:
         recorder.log_report(stream, scene.times, motion.report)
+    if without:
+        recorder.log_why(stream, without)
     for name, shot in footage.items():
         _log_footage(stream, name, shot, scene, uncertainty, targets)
 

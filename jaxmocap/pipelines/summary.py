@@ -16,6 +16,9 @@ from jaxmocap.outputs.report import misfit, plain, summarise
 
 # A landmark that is not determined in fewer of the samples is not listed.
 LEAST_SHARE = 0.05
+# Landmarks of which the summary says what determines them, and by how much of it.
+EXPLAINED = ("elbow_l", "elbow_r", "pelvis")
+MOST_REASONS = 4
 
 
 def frames_per_second(report: Report) -> float:
@@ -75,12 +78,22 @@ def _figures(report: Report) -> list[tuple[str, str]]:
     if len(report.markers) and np.isfinite(deviations).any():
         left, right = 100 * np.nanmedian(deviations, 0)
         rows.append(("elbows", f"left ± {left:.1f} cm, right ± {right:.1f} cm (median)"))
+    without = report.settings.get("deviations_without_m", {})
+    rows += [("why", _why(name, without[name])) for name in EXPLAINED if name in without]
     shares = zip(LANDMARKS, report.undetermined.mean(0), strict=True)
     unsure = [f"{name} {share:.0%}" for name, share in shares if share >= LEAST_SHARE]
     if unsure:
         within = f"not determined within {100 * UNDETERMINED_M:.0f} cm"
         rows.append(("unsure", f"{within}: {', '.join(unsure)} of the samples"))
     return rows
+
+
+def _why(landmark: str, deviations_m: Mapping[str, float]) -> str:
+    """How sure a landmark is, and would be without what matters most to it."""
+    (_, all_of_it), *parts = deviations_m.items()
+    most = sorted(parts, key=lambda part: -part[1])[:MOST_REASONS]
+    listed = ", ".join(f"{name} ± {100 * without:.1f}" for name, without in most)
+    return f"{landmark} ± {100 * all_of_it:.1f} cm; without {listed}"
 
 
 def _centimetres(errors: np.ndarray) -> str:

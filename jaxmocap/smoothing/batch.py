@@ -42,7 +42,7 @@ from jaxmocap.smoothing.problem import (
     all_turned,
 )
 from jaxmocap.smoothing.settings import SmoothingSettings
-from jaxmocap.smoothing.uncertainty import with_deviations
+from jaxmocap.smoothing.uncertainty import leave_one_out, with_deviations
 
 # Cells over which silhouettes fade, from solve to solve: roughly at first,
 ROUGHLY = (1.5,)
@@ -120,12 +120,19 @@ def smooth_recording(
     first_pass: FirstPass,
     videos: Sequence[VideoFrames],
     show: Callable[[float], None],
+    why: bool = False,
 ) -> Trajectory | None:
-    """The poses of all events and how sure they are; see ``solve_recording``."""
+    """The poses of all events and how sure they are; see ``solve_recording``.
+
+    With ``why`` also how sure without each part of the evidence.
+    """
     solved = solve_recording(model, settings, first_pass, videos, show)
     if solved is None:
         return None
     trajectory = with_deviations(*solved, FINELY[-1])
+    if why:
+        solved = solved._replace(trajectory=trajectory)
+        trajectory = leave_one_out(*solved, FINELY[-1], lambda done: show(0.8 + 0.2 * done))
     show(1.0)
     return trajectory
 

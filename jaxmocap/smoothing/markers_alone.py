@@ -21,7 +21,7 @@ from jaxmocap.smoothing.batch import FINELY, measurements_of
 from jaxmocap.smoothing.linearise import rows_of, smooth_poses
 from jaxmocap.smoothing.problem import UNTURNED, FirstPass, SmoothingProblem, Trajectory, Views
 from jaxmocap.smoothing.settings import SmoothingSettings
-from jaxmocap.smoothing.uncertainty import with_deviations
+from jaxmocap.smoothing.uncertainty import leave_one_out, with_deviations
 from jaxmocap.smoothing.walking import usual_habits, walkers_measurements
 
 # Samples that are solved for at once: some 80 kB each.
@@ -39,6 +39,7 @@ def smooth_markers(
     settings: SmoothingSettings,
     first_pass: FirstPass,
     show: Callable[[float], None],
+    why: bool = False,
 ) -> Trajectory:
     """The poses of all events and how sure they are, by the markers alone.
 
@@ -47,6 +48,7 @@ def smooth_markers(
         settings: of the smoothing.
         first_pass: E events, and the poses to start from.
         show: called with the share done.
+        why: also how sure they are without each part of the evidence.
     """
     model, count = replace(model, cameras=None), len(first_pass.times)
     measured = measurements_of(model, first_pass)
@@ -62,12 +64,14 @@ def smooth_markers(
     some = np.arange(0, count, -(-count // STRETCH))
     own, at = _among(problem, start, some)
     found = smooth_poses(own, at, FINELY).trajectory
+    if why:
+        found = leave_one_out(own, found, FINELY[-1], lambda done: show(0.5 * done))
     show(0.5 if len(some) < count else 0.9)
     if len(some) == count:
         found = with_deviations(own, found, FINELY[-1])
         show(1.0)
         return found
-    start = start._replace(proportions=found.proportions)
+    start = start._replace(proportions=found.proportions, left_out=found.left_out)
     person = replace(model, skeleton=found.person(model.skeleton))
     joined = GatheredRows(count)
     for first in range(0, count, STRETCH):

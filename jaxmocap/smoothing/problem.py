@@ -112,6 +112,20 @@ class SmoothingProblem:
         return smoothness(self.times, accelerations)
 
 
+class LeftOut(NamedTuple):
+    """How sure L landmarks would be without some of the evidence.
+
+    Attributes:
+        kind: "nothing", "marker", "camera", "key points" or "prior".
+        which: index of the marker or the camera; name of a prior's setting, or "motion".
+        deviations: (L,) medians over time of standard deviations, over the three axes, metres.
+    """
+
+    kind: str
+    which: int | str | None
+    deviations: np.ndarray
+
+
 class Trajectory(NamedTuple):
     """What is solved for, and how sure it is.
 
@@ -124,6 +138,7 @@ class Trajectory(NamedTuple):
             until they are asked for.
         from_prior: (T, L) 1 where markers and video leave a landmark almost as uncertain as it is
             without them, else 0; None likewise.
+        left_out: how sure it would be without each part of the evidence; None likewise.
     """
 
     poses: Pose
@@ -131,6 +146,7 @@ class Trajectory(NamedTuple):
     turns_cam: Array | np.ndarray = UNTURNED
     deviations: np.ndarray | None = None
     from_prior: np.ndarray | None = None
+    left_out: tuple[LeftOut, ...] | None = None
 
     def person(self, skeleton: Skeleton) -> Skeleton:
         """The skeleton with the estimated proportions."""
@@ -149,7 +165,8 @@ def moved_by(trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray) -> T
     poses = jax.device_get(_retract(trajectory.poses, on_device(steps)))
     lengths, turns = np.split(shared, [trajectory.proportions.size])
     moved = trajectory.proportions + lengths, trajectory.turns_cam + turns.reshape(-1, TURN)
-    return Trajectory(poses, *(np.asarray(part, poses.angles.dtype) for part in moved))
+    proportions, turns_cam = (np.asarray(part, poses.angles.dtype) for part in moved)
+    return Trajectory(poses, proportions, turns_cam)
 
 
 def all_turned(cameras: Camera | None, turns_cam: Array | np.ndarray) -> Camera:

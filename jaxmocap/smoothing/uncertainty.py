@@ -1,28 +1,39 @@
-"""How sure landmarks are: standard deviations of what a solve leaves uncertain.
+"""How sure landmarks are: standard deviations of what a solve leaves uncertain, and why.
 
 INPUTS: a problem and the trajectory that solves it, or variances with and without what the cameras
-show. OUTPUTS: deviations, and which landmarks come from the prior.
+show. OUTPUTS: deviations, and which landmarks come from the prior; deviations without each marker,
+camera and prior.
 """
 
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import jax
 import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, landmark_mismatches
+from jaxmocap.evidence.markers import ElbowGoals, MarkerPositions
 from jaxmocap.evidence.smoothness import Smoothness
 from jaxmocap.evidence.terms import Term
 from jaxmocap.smoothing.levenberg_marquardt import covariances, point_variances
-from jaxmocap.smoothing.linearise import linearise_problem, softened, two_workers
-from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory
+from jaxmocap.smoothing.linearise import linearise_problem, rows_of, softened, two_workers
+from jaxmocap.smoothing.problem import LeftOut, SmoothingProblem, Trajectory
 from jaxmocap.smoothing.settings import SmoothingSettings
 
 # A landmark comes from the prior where the video leaves more than this share of its variance,
 GUESSED = 0.7
 # unless markers hold it already: below about so many metres.
 HELD_M = 0.01
+# Of a longer recording so many events in its middle stand for all.
+MOST_EVENTS = 1000
+# Deviations times this count for nothing.
+NOTHING = 1e4
+# What changes a deviation by a smaller share is not listed beside it.
+LEAST_EFFECT = 0.01
+# Terms that are left out by themselves, or that have no part in the last solve.
+OTHER_TERMS = (MarkerPositions, ElbowGoals)
 
 
 def landmark_deviations(
@@ -105,3 +116,106 @@ def _without_video(problem: SmoothingProblem) -> SmoothingProblem:
     """The same without what the cameras show."""
     measured = {name: own for name, own in problem.measured.items() if name != "sight_lines"}
     return replace(problem, views=problem.views.none, measured=measured)
+
+
+def leave_one_out(
+    problem: SmoothingProblem,
+    trajectory: Trajectory,
+    softness: float,
+    show: Callable[[float], None],
+) -> Trajectory:
+    """The trajectory, and how sure it is with all the evidence, and without each part of it.
+
+    Poses stay where they are.
+
+    Args:
+        problem: of T events.
+        trajectory: that solves it.
+        softness: of the silhouettes' borders in the last solve, cells.
+        show: called with the share done.
+    """
+    problem, there = _middle(problem, trajectory)
+    soft = softened(problem, softness)
+    mismatch, result = float(problem.settings.mismatch), []
+    each = list(_parts(soft))
+    with two_workers() as workers:
+        for done, (kind, which, without) in enumerate(each):
+            prior = without.motion_prior()
+            variances = _variances(without, softness, workers, there, prior)
+            three = deviations_of(variances, mismatch)
+            result.append(LeftOut(kind, which, np.median(np.linalg.norm(three, axis=-1), 0)))
+            show((done + 1) / len(each))
+    return trajectory._replace(left_out=tuple(result))
+
+
+def deviations_without(
+    left_out: Sequence[LeftOut], markers: Sequence[str], cameras: Sequence[str]
+) -> dict[str, dict[str, float]]:
+    """Landmark -> name of what is left out -> its deviation then, metres.
+
+    Of what the landmark hardly depends on there is no entry.
+
+    Args:
+        left_out: of ``leave_one_out``.
+        markers: their names.
+        cameras: theirs.
+    """
+    names, result = {"marker": markers, "camera": cameras}, {name: {} for name in LANDMARKS}
+    for part in left_out:
+        which = names[part.kind][part.which] if isinstance(part.which, int) else part.which
+        name = f"{part.kind} {which}" if which else part.kind
+        for own, all_of_it, without in zip(
+            result.values(), left_out[0].deviations, part.deviations, strict=True
+        ):
+            if part is left_out[0] or without > (1 + LEAST_EFFECT) * all_of_it:
+                own[name] = float(without)
+    return result if left_out else {}
+
+
+def _parts(problem: SmoothingProblem) -> Iterator[tuple[str, int | str | None, SmoothingProblem]]:
+    """The problem, and what it is without each part of its evidence."""
+    by_itself, settings = problem.settings, counted_once(problem)
+    problem = replace(problem, settings=settings)
+    measured, views = problem.measured, problem.views
+    yield "nothing", None, problem
+    for marker in range(measured["markers"].shape[1]):
+        fewer = np.array(measured["markers"])
+        fewer[:, marker] = np.nan
+        yield "marker", marker, problem.with_measured(markers=fewer)
+    for camera in np.unique(views.camera):
+        others = views.camera != camera
+        yield "camera", int(camera), replace(problem, views=_views_of(problem, others))
+    if "sight_lines" in measured:
+        rest = {name: own for name, own in measured.items() if name != "sight_lines"}
+        yield "key points", None, replace(problem, measured=rest)
+    for field in fields(settings):
+        term = getattr(settings, field.name)
+        if isinstance(term, Term) and not isinstance(term, OTHER_TERMS):
+            vain = jax.tree.map(lambda deviation: np.asarray(deviation) * NOTHING, term)
+            weaker = replace(settings, **{field.name: vain})
+            yield "prior", field.name, replace(problem, settings=weaker)
+    # What is usual is evidence once in every moment, where none is tied to others.
+    loose = np.asarray(settings.acceleration) * NOTHING
+    apart = replace(by_itself, silhouettes=settings.silhouettes, acceleration=loose)
+    yield "prior", "motion", replace(problem, settings=apart)
+
+
+def _views_of(problem: SmoothingProblem, kept: np.ndarray) -> Any:
+    return jax.tree.map(lambda part: np.asarray(part)[kept], problem.views)
+
+
+def _middle(
+    problem: SmoothingProblem, trajectory: Trajectory
+) -> tuple[SmoothingProblem, Trajectory]:
+    """The ``MOST_EVENTS`` in the middle."""
+    if (count := len(problem.times)) <= MOST_EVENTS:
+        return problem, trajectory
+    first = (count - MOST_EVENTS) // 2
+    rows, views = np.arange(first, first + MOST_EVENTS), problem.views
+    if len(views.frame):
+        views = _views_of(problem, np.isin(views.frame, rows))
+        views = views._replace(frame=views.frame - first)
+    part = replace(
+        problem, times=problem.times[rows], measured=rows_of(problem.measured, rows), views=views
+    )
+    return part, trajectory._replace(poses=rows_of(trajectory.poses, rows))

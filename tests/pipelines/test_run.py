@@ -51,7 +51,7 @@ WRISTS = {"wrist_l": "LWrist", "wrist_r": "RWrist"}
 @pytest.fixture(scope="module")
 def tracked():
     """The small recording, tracked with markers only and with video."""
-    return track_both(small_recording(), tracker=compiled())
+    return track_both(small_recording(), tracker=compiled(), why=True)
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +88,18 @@ def test_a_tracker_takes_its_recordings_markers_and_no_others():
     assert repr(tracker.model) == repr(Model.of(recording))
     with pytest.raises(ValueError, match=rf"found shape \({count - 1}, 3\), expected \({count}, 3"):
         tracker.init(recording.positions_world[0, 1:])
+
+
+def test_why_a_landmark_is_where_it_is_is_stated(tracked, again):
+    listed = tracked.motion.report.settings["deviations_without_m"]
+    elbow = listed["elbow_l"]
+    assert elbow["marker LWrist"] > 1.2 * elbow["nothing"]
+    median = float(np.median(tracked.motion.report.elbow_deviations[:, 0]))
+    assert elbow["nothing"] == pytest.approx(median, rel=0.3)
+    assert "why" in summary(tracked.motion) and "marker LWrist ± " in summary(tracked.motion)
+    assert not again[0].report.settings["deviations_without_m"] and "why" not in summary(again[0])
+    with pytest.raises(InputError, match="found --why, which is of poses that are smoothed"):
+        track_both(small_recording(), mode="causal", tracker=compiled(), why=True)
 
 
 # What comes out ----------------------------------------------------------------------------------

@@ -40,6 +40,12 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add_cameras(parser, "use these of the recording's cameras")
     add("--height", metavar="M", type=positive_number, help="metres, in place of the [subject]")
     add(
+        "--why",
+        action="store_true",
+        help="state how sure each landmark would be without each marker, camera and prior: in the "
+        "summary, report.json and recording.rrd",
+    )
+    add(
         "--names",
         choices=("opensim",),
         help="write angles_opensim.mot as well: the coordinates of OpenSim's full-body model "
@@ -53,7 +59,7 @@ def _run(options: argparse.Namespace) -> int:
     from jaxmocap.outputs.report import MISFIT_M
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.summary import figures, misfit, summary
-    from jaxmocap.pipelines.tracking.track import track
+    from jaxmocap.pipelines.tracking.track import track_both
     from jaxmocap.pipelines.writing import MotionFormats, tracked_folder, write_outputs
 
     keep_compiled()
@@ -62,7 +68,7 @@ def _run(options: argparse.Namespace) -> int:
     formats = MotionFormats(options.up or "z", options.names)
     # Whether the folder can be written to, before any work.
     tracked_folder(options.out, recording, formats.more_files)
-    motion = track(recording, settings, mode=mode, progress=True)
+    motion = track_both(recording, settings, mode=mode, progress=True, why=options.why).motion
     warnings = exchanged_labels(recording)
     files = write_outputs(motion, recording, options.out, settings, True, warnings.append, formats)
     given = motion, files, warnings

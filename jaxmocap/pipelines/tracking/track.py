@@ -43,6 +43,7 @@ from jaxmocap.smoothing.batch import smooth_recording
 from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, DELAY_S, FixedLagSmoother
 from jaxmocap.smoothing.markers_alone import smooth_markers
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
+from jaxmocap.smoothing.uncertainty import deviations_without
 
 # Run -> the people on whose recordings the factors of its deviations were chosen.
 CALIBRATED_ON = {
@@ -106,8 +107,15 @@ def track_both(
     mode: Mode = "own",
     progress: Progress | bool | None = None,
     tracker: HybridTracker | None = None,
+    why: bool = False,
 ) -> Tracked:
-    """Track a recording and keep the markers' own poses as well; see ``track``."""
+    """Track a recording and keep the markers' own poses as well; see ``track``.
+
+    With ``why`` the report has how sure landmarks would be without each part of the evidence.
+
+    Raises:
+        InputError: ``why``, and nothing is smoothed over the whole recording.
+    """
     clock, causal, began = Clock(), mode == "causal", perf_counter()
     opened = open_recording(recording, mode)
     tracker = tracker or make_tracker(opened.recording, settings)
@@ -118,6 +126,9 @@ def track_both(
     smooth = tracker.settings.smooth and (bool(used) or not (marked or causal))
     if problem := unused_setting(tracker.settings, smooth or marked, causal):
         raise ValueError(problem)
+    if why and (causal or not smooth):
+        problem = "found --why, which is of poses that are smoothed over the whole recording"
+        raise recording.error(f"{problem}: expected smoothing and neither --causal nor --paper")
     if cutoff := float(tracker.settings.low_pass):
         check_cutoff(opened.recording, cutoff, "low_pass")
     smoother = None
@@ -139,11 +150,12 @@ def track_both(
         with progress_bar("smoothing", progress, "compiling") as show:
             trajectory = clock.timed(
                 "smooth", _smoothed, opened, events, tracker, first,
-                lambda share: show(round(100 * share), 100),
+                lambda share: show(round(100 * share), 100), why,
             )  # fmt: skip
     cameras = [source.camera_name for source in recording.videos]
     # Each camera's estimated rotation against its calibration, a vector in its frame.
     turns = [] if trajectory is None else np.degrees(trajectory.turns_cam).tolist()
+    left_out = trajectory and trajectory.left_out
     figures = {
         "recording": recording.path or recording.name,
         "mode": mode,
@@ -153,6 +165,7 @@ def track_both(
         "filters": opened.cleaning.figures(),
         "tracker": tracker.settings,
         "camera_turns_deg": dict(zip(cameras, turns, strict=False)),
+        "deviations_without_m": deviations_without(left_out or (), recording.marker_names, cameras),
         "deviations": {"calibrated_on": _calibrated_on(tracker.settings.smooth, used, causal)},
         "latency": {"video frames": DELAY_FRAMES, "seconds": DELAY_S} if smoother else {},
         "video_frames": int((events.timeline.frame_index >= 0).any(-1).sum()) if used else 0,
@@ -218,12 +231,13 @@ def _smoothed(
     tracker: HybridTracker,
     first: FirstPass,
     show: Callable[[float], None],
+    why: bool,
 ) -> Trajectory | None:
     model, settings = tracker.model, tracker.settings.smoothing
     if not model.camera_count or not (first.frame_index >= 0).any():
-        return smooth_markers(model, settings, first, show)
+        return smooth_markers(model, settings, first, show, why)
     first = with_sight_lines(opened, events, first)
-    return smooth_recording(model, settings, first, cached_frames(opened.videos, ROWS), show)
+    return smooth_recording(model, settings, first, cached_frames(opened.videos, ROWS), show, why)
 
 
 def _low_passed(
