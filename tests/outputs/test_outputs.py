@@ -397,6 +397,18 @@ def test_the_viewer_plots_the_joint_angles_as_angles_mot_has_them(tmp_path, moti
         np.testing.assert_allclose(rows, np.degrees(columns[name.rpartition("/")[2]]), atol=1e-4)
 
 
+def test_the_viewer_has_a_table_of_why_landmarks_are_where_they_are(tmp_path, motion):
+    without = {"elbow_l": {"nothing": 0.05, "camera cam": 0.19}, "neck": {"nothing": 0.02}}
+    settings = {**motion.report.settings, "deviations_without_m": without}
+    explained = replace(motion, report=replace(motion.report, settings=settings))
+    write_rerun(tmp_path / "recording.rrd", explained)
+    _, static = read_recording(tmp_path / "recording.rrd")
+    ((text,),) = static["/why"][0].column("TextDocument:text").to_pylist()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines()]
+    assert rows[0] == ["without", "nothing", "camera cam"]
+    assert rows[2:] == [["elbow_l", "5.0", "19.0"], ["neck", "2.0", ""]]
+
+
 def test_a_long_motion_goes_into_the_file_piece_by_piece_and_every_nth_sample_of_it(
     tmp_path, motion, targets, monkeypatch
 ):
