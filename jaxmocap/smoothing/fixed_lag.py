@@ -52,8 +52,8 @@ from jaxmocap.smoothing.window.track import (
     TrackPose,
     at_event,
     between_events,
-    interpolate_markers,
     track_poses,
+    update_frames_markers,
 )
 from jaxmocap.solvers.fading import Fading
 
@@ -237,7 +237,7 @@ class FixedLagSmoother:
             }
             frames = self._frames(step.images, there.pose)
             events.append(WindowEvent(step.number, step.time, measured, there.pose, frames))
-        interpolate_markers(events, self._samples)
+        update_frames_markers(events, self._samples)
 
     def _frames(self, images: Images, pose: Pose) -> list[WindowFrame]:
         """Camera, what its image shows about a pose, width and height; of new images only."""

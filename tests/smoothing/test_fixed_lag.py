@@ -275,9 +275,11 @@ def test_a_frame_between_two_samples_has_the_markers_that_lie_there():
 def test_markers_of_a_straight_motion_are_where_they_go(time, missing):
     at = np.arange(4) * 0.03
     samples = [Sample(i, t, np.array([[t, 2 * t, 1.0], [0, 0, t]])) for i, t in enumerate(at)]
-    assert np.allclose(markers_at(samples, time), [[time, 2 * time, 1.0], [0, 0, time]], atol=1e-6)
+    assert np.allclose(
+        markers_at(samples, [time])[0], [[time, 2 * time, 1.0], [0, 0, time]], atol=1e-6
+    )
     samples[missing].markers_world[0] = np.nan
-    found = markers_at(samples, time)
+    found = markers_at(samples, [time])[0]
     assert np.allclose(found[1], [0, 0, time], atol=1e-6)
     # By its other samples, unless the last two of them are too long ago.
     newest, before = np.delete(at, missing)[[-1, -2]]
@@ -290,14 +292,17 @@ def test_devices_that_send_in_turn_have_their_own_samples():
     rows = [[[t, 0, 0], nothing] if i % 2 else [nothing, [0, t, 0]] for i, t in enumerate(TIMES)]
     samples = [Sample(i, TIMES[i], np.array(row)) for i, row in enumerate(rows)]
     time = (TIMES[-3] + TIMES[-2]) / 2
-    assert np.allclose(markers_at(samples, time), [[time, 0, 0], [0, time, 0]], atol=1e-6)
+    assert np.allclose(markers_at(samples, [time])[0], [[time, 0, 0], [0, time, 0]], atol=1e-6)
 
 
 def test_markers_beyond_a_gap_are_unknown():
     far = [Sample(i, t, np.zeros((1, 3))) for i, t in enumerate((0.0, 2 * LONGEST_INTERVAL_S))]
-    assert np.isnan(markers_at(far, LONGEST_INTERVAL_S)).all()
+    assert np.isnan(markers_at(far, [LONGEST_INTERVAL_S])[0]).all()
     near = [Sample(i, t, np.zeros((1, 3))) for i, t in enumerate((0.0, 0.01))]
-    assert np.isnan(markers_at(near, 0.03)).all() and np.isfinite(markers_at(near, 0.015)).all()
+    assert (
+        np.isnan(markers_at(near, [0.03])[0]).all()
+        and np.isfinite(markers_at(near, [0.015])[0]).all()
+    )
 
 
 # What is missing ---------------------------------------------------------------------------------

@@ -26,14 +26,14 @@ def draw_hulls(discs: Discs, size: tuple[int, int]) -> np.ndarray:
     """
     mask = np.zeros((size[1], size[0]), np.uint8)
     near, far, radii = (np.asarray(part, float) for part in discs)
-    ends = np.stack([near, far], 1)
     # What is not a number is not less either.
     kept = (np.abs(np.concatenate([near, far, radii], 1)) < FARTHEST_PX).all(1)
-    ends, radii = ends[kept, :, None], radii[kept, :, None]
+    near, far, radii = near[kept], far[kept], radii[kept]
     # In each direction the hull reaches as far as the disc that reaches farther.
-    farther = np.argmax(np.sum(ends * WAYS, -1) + radii, 1)[:, None, :, None]
-    corners = np.take_along_axis(ends + radii[..., None] * WAYS, farther, 1)[:, 0]
-    for polygon in np.round(corners).astype(np.int32):
+    is_far = far @ WAYS.T + radii[:, 1:] > near @ WAYS.T + radii[:, :1]
+    reach = np.where(is_far, radii[:, 1:], radii[:, :1])[..., None] * WAYS
+    corners = np.where(is_far[..., None], far[:, None], near[:, None]) + reach
+    for polygon in np.rint(corners).astype(np.int32):
         cv2.fillConvexPoly(mask, polygon, 1)
     return mask.view(bool)
 

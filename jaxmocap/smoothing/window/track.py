@@ -47,24 +47,27 @@ class Sample(NamedTuple):
     markers_world: np.ndarray
 
 
-def markers_at(samples: Sequence[Sample], time: float) -> np.ndarray:
-    """(M, 3) metres between each marker's own samples on a cubic, beyond its last straight on.
+def markers_at(samples: Sequence[Sample], times: Sequence[float]) -> list[np.ndarray]:
+    """Markers (M, 3), metres, at each of some times, on a cubic between each one's own samples.
 
-    NaN where its samples about the time are farther apart than ``LONGEST_INTERVAL_S``, or the last
+    Beyond its last one straight on. NaN where its samples about the time are farther apart than ``LONGEST_INTERVAL_S``, or the last
     one is more than an interval ago.
 
     Args:
         samples: the newest, in order of time, at least one.
-        time: seconds.
+        times: seconds.
     """
-    times = np.array([each.time for each in samples])
+    own_times = np.array([each.time for each in samples])
     points = np.stack([each.markers_world for each in samples])
     present = np.asarray(np.isfinite(points).all(-1))
     if present.all():
-        return _on_cubic(times, points, time)
+        return [_on_cubic(own_times, points, time) for time in times]
     # A device that is missing, or has packets of its own.
     own = [present[:, marker] for marker in range(points.shape[1])]
-    return np.stack([_on_cubic(times[o], points[o, m], time) for m, o in enumerate(own)])
+    return [
+        np.stack([_on_cubic(own_times[o], points[o, m], time) for m, o in enumerate(own)])
+        for time in times
+    ]
 
 
 def _on_cubic(times: np.ndarray, points: np.ndarray, time: float) -> np.ndarray:
@@ -83,18 +86,20 @@ def _on_cubic(times: np.ndarray, points: np.ndarray, time: float) -> np.ndarray:
     return points[start] + cubic_step(first, way, last, beside, share)
 
 
-def interpolate_markers(events: Sequence[WindowEvent], samples: Sequence[Sample]) -> None:
+def update_frames_markers(events: Sequence[WindowEvent], samples: Sequence[Sample]) -> None:
     """Give events that are no samples, frames between them, the markers that lie there.
 
     Args:
         events: of the window; those of a sample, and those before all of these, stay as they are.
         samples: the newest, in order of time.
     """
-    numbers = {sample.number for sample in samples}
-    for event in events:
-        if samples and event.time >= samples[0].time and event.number not in numbers:
-            there = markers_at(samples, event.time).astype(event.measured["markers"].dtype)
-            event.measured = {**event.measured, "markers": there}
+    if not samples:
+        return
+    numbers, first = {sample.number for sample in samples}, samples[0].time
+    between = [each for each in events if each.time >= first and each.number not in numbers]
+    for event, there in zip(between, markers_at(samples, [e.time for e in between]), strict=True):
+        of_type = there.astype(event.measured["markers"].dtype)
+        event.measured = {**event.measured, "markers": of_type}
 
 
 class TrackPose(NamedTuple):
