@@ -50,8 +50,8 @@ class Sample(NamedTuple):
 def markers_at(samples: Sequence[Sample], times: Sequence[float]) -> list[np.ndarray]:
     """Markers (M, 3), metres, at each of some times, on a cubic between each one's own samples.
 
-    Beyond its last one straight on. NaN where its samples about the time are farther apart than ``LONGEST_INTERVAL_S``, or the last
-    one is more than an interval ago.
+    Beyond its last one straight on. NaN where its samples about the time are farther apart than
+    ``LONGEST_INTERVAL_S``, or the last one is more than an interval ago.
 
     Args:
         samples: the newest, in order of time, at least one.
