@@ -172,6 +172,8 @@ class Window:
     def _linearise(self) -> None:
         """All events about their present poses, and the marginal prior with them.
 
+        What is no longer near where it was drawn is drawn again.
+
         All of them: derivatives that were taken at poses which are no motion would contradict one
         another, and the motion prior would make evidence of that.
         """
@@ -180,10 +182,10 @@ class Window:
         if self._marginal is not None:
             self._marginal = self._marginal.about(np.stack(steps))
         for event, new in zip(self.events, linear, strict=True):
-            if event.linear is None:
-                new.silhouettes = self._drawn(event, new.pose, new.points)
-            else:
-                new.silhouettes = event.linear.silhouettes_about(event.step)
+            drawn = event.linear and event.linear.silhouettes_about(event.step)
+            if drawn is None or np.abs(new.points - drawn.points).max() > NEAR_M:
+                drawn = self._drawn(event, new.pose, new.points)
+            new.silhouettes = drawn
             event.linear, event.step = new, np.zeros_like(new.gradient)
 
     def _linear_events(self, events: Sequence[WindowEvent], poses: np.ndarray) -> list[LinearEvent]:
@@ -215,19 +217,15 @@ class Window:
         return SilhouetteQuadratic(points, float(cost), hessian, gradient, 0 * gradient)
 
     def _move(self, steps: np.ndarray) -> float:
-        """All events by steps (T, N); what is no longer near where it was drawn is drawn again.
+        """All events by steps (T, N).
 
         Returns:
             By how much the derivatives misplace any landmark, metres.
         """
         origins = np.stack([_linear(event).pose for event in self.events])
         poses, points = moved(self._model.skeleton, origins, steps)
-        for event, pose, there, step in zip(self.events, poses, points, steps, strict=True):
-            event.pose, event.step, linear = unpack(pose), step, _linear(event)
-            drawn = linear.silhouettes
-            if drawn and np.abs(there - drawn.points).max() > NEAR_M:
-                new = self._drawn(event, pose, there)
-                linear.silhouettes = new and new._replace(step=step)
+        for event, pose, step in zip(self.events, poses, steps, strict=True):
+            event.pose, event.step = unpack(pose), step
         expected = [_linear(e).points_at(step) for e, step in zip(self.events, steps, strict=True)]
         return float(np.abs(points - np.stack(expected)).max())
 
