@@ -93,7 +93,7 @@ def _why(landmark: str, deviations_m: Mapping[str, float]) -> str:
     (_, all_of_it), *parts = deviations_m.items()
     most = sorted(parts, key=lambda part: -part[1])[:MOST_REASONS]
     listed = ", ".join(f"{name} ± {100 * without:.1f}" for name, without in most)
-    return f"{landmark} ± {100 * all_of_it:.1f} cm; without {listed}"
+    return f"{landmark} ± {100 * all_of_it:.1f} cm; without {listed or 'any of it the same'}"
 
 
 def _centimetres(errors: np.ndarray) -> str:

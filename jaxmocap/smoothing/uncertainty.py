@@ -14,6 +14,7 @@ import jax
 import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, landmark_mismatches
+from jaxmocap.evidence.keypoints import KeyPoints
 from jaxmocap.evidence.markers import ElbowGoals, MarkerPositions
 from jaxmocap.evidence.smoothness import Smoothness
 from jaxmocap.evidence.terms import Term
@@ -33,7 +34,7 @@ NOTHING = 1e4
 # What changes a deviation by a smaller share is not listed beside it.
 LEAST_EFFECT = 0.01
 # Terms that are left out by themselves, or that have no part in the last solve.
-OTHER_TERMS = (MarkerPositions, ElbowGoals)
+OTHER_TERMS = (MarkerPositions, KeyPoints, ElbowGoals)
 
 
 def landmark_deviations(

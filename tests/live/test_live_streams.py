@@ -185,6 +185,23 @@ def test_a_codec_that_no_camera_has_is_not_decoded(tmp_path, codec):
         list(stream_frames(f"tcp://127.0.0.1:{port}", False, MOST))
 
 
+@pytest.mark.parametrize(
+    "height, width, layout, sent",
+    [(73, 96, decoding.PLANES, 73 * 144), (72, 96, decoding.GREY, 100), (72, 96, 7, 9000),
+     (72, 0, decoding.BGR, 9000), (2**31, 96, decoding.GREY, 9000)],
+)  # fmt: skip
+def test_a_process_that_was_taken_over_is_not_believed(
+    tmp_path, monkeypatch, height, width, layout, sent
+):
+    """Whoever has sent the stream may write what it hands on."""
+    script = tmp_path / "taken_over.py"
+    header = decoding.HEADER.pack(height, width, layout)
+    script.write_text(f"import sys; sys.stdout.buffer.write({header!r} + bytes({sent}))")
+    monkeypatch.setattr(decoding, "__file__", str(script))
+    with pytest.raises(InputError, match="the process that decodes it has ended"):
+        list(stream_frames("tcp://127.0.0.1:1", True, MOST))
+
+
 def test_a_process_that_dies_of_a_stream_leaves_the_run_going(tmp_path, monkeypatch):
     """As a flaw of FFmpeg would let it die, or its limits."""
     content, started = clip(tmp_path), []

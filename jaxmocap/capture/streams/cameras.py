@@ -197,12 +197,16 @@ def stream_frames(url: str, colour: bool, max_pixels: int) -> Images:
                         raise InputError(short_repr(url), reason)
                     return
                 # Whoever has sent may write here by now.
-                if layout not in decoding.SHAPES or height * width > max_pixels:
+                if layout not in decoding.SHAPES or not 0 < height * width <= max_pixels:
+                    break
+                if layout == decoding.PLANES and (height % 2 or width % 2):
                     break
                 rows, channels = decoding.SHAPES[layout]
                 shape = round(rows * height), width, *channels
-                image = np.frombuffer(process.stdout.read(math.prod(shape)), np.uint8)
-                yield _shown(image.reshape(shape), layout)
+                content = process.stdout.read(math.prod(shape))
+                if len(content) < math.prod(shape):
+                    break
+                yield _shown(np.frombuffer(content, np.uint8).reshape(shape), layout)
             raise InputError(short_repr(url), "the process that decodes it has ended")
         finally:
             process.kill()
