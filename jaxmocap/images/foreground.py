@@ -38,6 +38,8 @@ SURE_ODDS = 1.0
 SOFTNESS = 0.8
 # What blurring reaches beyond what is asked for, pixels.
 AROUND_PX = 4
+# Samples along a cell, at most: of a body that stands in the camera a cell has a million pixels.
+FINEST = 32
 # Log-odds from which a pixel has its full weight.
 FULL_WEIGHT_ODDS = 2.0
 
@@ -202,7 +204,7 @@ def person_grids(
         and W, the weights' own mean, 0 to 1: 0 where nothing was learned and outside the image. The
         middle of cell i lies at pixel ``origin + (i + 0.5) cell``.
     """
-    finer = max(1, int(np.ceil(cell_px)))
+    finer = int(np.clip(np.ceil(cell_px), 1, FINEST))
     step = cell_px / finer
     x, y = np.asarray(origin_px, float) + step / 2
     fine = cv2.warpAffine(

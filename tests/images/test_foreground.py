@@ -312,6 +312,15 @@ def test_a_disc_lies_on_the_grid_where_it_lies_in_the_image(disc, dx, dy):
     np.testing.assert_allclose(middle, expected, atol=0.05)
 
 
+def test_cells_far_larger_than_the_image_take_no_more_memory():
+    for cell in (1e3, 2e5, 1e9):
+        origin = np.array([-24.0, -24.0]) * cell
+        odds = np.full((160, 200), 2.0, np.float32)
+        probability, weight = person_grid(odds, origin, cell, 48)
+        assert probability.shape == (48, 48) and np.isfinite(probability).all()
+        assert np.isfinite(weight).all() and (weight > 0).sum() <= 4
+
+
 def test_the_grid_lies_where_a_region_of_the_same_origin_lies():
     rng = np.random.default_rng(0)
     image = cv2.GaussianBlur(rng.normal(0, 40, (90, 120)).astype(np.float32), (0, 0), 5)

@@ -20,6 +20,7 @@ from painted_motion import (
     elbow_errors,
     places_of,
     points_of,
+    pose_at,
     truth,
 )
 from scipy.linalg import block_diag
@@ -303,6 +304,17 @@ def test_markers_beyond_a_gap_are_unknown():
         np.isnan(markers_at(near, [0.03])[0]).all()
         and np.isfinite(markers_at(near, [0.015])[0]).all()
     )
+
+
+@pytest.mark.parametrize("x", [2.3, 2.59, 2.6, 2.61, 3.5, 90.0, -90.0, 1e6])
+def test_a_body_that_is_put_into_the_camera_or_far_away_is_looked_at(x):
+    """As a device's absurd position puts it."""
+    measured, pose = smoother_of()._appearances[0], unpack(np.concatenate(pose_at(0.0)))
+    for y in (0.4, 90.0):
+        away = pose._replace(position=np.array([x, y, 0.9], np.float32))
+        frame = measured.measure(images()[0], away, 0.8)
+        assert all(np.isfinite(part).all() for part in jax.tree.leaves(frame.grids))
+        measured.learn(frame, SIZE, away)
 
 
 # What is missing ---------------------------------------------------------------------------------
