@@ -451,7 +451,7 @@ def test_a_window_with_a_marginal_prior_is_as_good_as_the_dense_chain(seed, leav
         window = equations_of(events[first:last], times[first:last], marginal)
         marginal, first = window.condensed(count), first + count
     rest = equations_of(events[first:], times[first:], marginal)
-    # The window's equations have a floor of 1e-6 of curvature at each step, the dense ones have none.
+    # The window has a floor of 1e-6 of curvature at each step, the dense chain has none.
     np.testing.assert_allclose(rest.steps(0.0), expected[first:], atol=1e-4)
     np.testing.assert_allclose(rest.variances(range(T - first)), sure[first:], rtol=1e-5)
 
