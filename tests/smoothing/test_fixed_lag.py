@@ -40,6 +40,7 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.window import sliding
 from jaxmocap.smoothing.window.arm_search import ArmSearch, with_arm_there
 from jaxmocap.smoothing.window.equations import (
+    FLOOR,
     LinearEvent,
     SilhouetteQuadratic,
     window_equations,
@@ -420,7 +421,10 @@ def equations_of(events, times, marginal=None, share=1.0):
 
 
 def dense(events, times) -> tuple[np.ndarray, np.ndarray]:
-    """Steps (T, N) of the whole chain and variances (T, M) of its points, without any bands."""
+    """Steps (T, N) of the whole chain and variances (T, M) of its points, without any bands.
+
+    With the curvature that the window gives every unknown.
+    """
     drawn = [event.silhouettes for event in events]
     pairs = list(zip(events, drawn, strict=True))
     hessian = block_diag(*(event.hessian + own.hessian for event, own in pairs))
@@ -431,7 +435,7 @@ def dense(events, times) -> tuple[np.ndarray, np.ndarray]:
         mean = np.array([1 / h1, -1 / h1 - 1 / h2, 1 / h2]) / ((h1 + h2) / 2)
         second[t, t : t + 3] = mean * np.sqrt((h1 + h2) / 2) / ACCELERATION
     second = np.kron(second, np.eye(2))
-    hessian += (second @ J).T @ second @ J
+    hessian += (second @ J).T @ second @ J + FLOOR * np.eye(len(hessian))
     gradient = np.concatenate(slopes) + (second @ J).T @ second @ np.concatenate(points)
     variances = np.diag(J @ np.linalg.inv(hessian) @ J.T)
     return -np.linalg.solve(hessian, gradient).reshape(T, N), variances.reshape(T, 2)
@@ -451,8 +455,7 @@ def test_a_window_with_a_marginal_prior_is_as_good_as_the_dense_chain(seed, leav
         window = equations_of(events[first:last], times[first:last], marginal)
         marginal, first = window.condensed(count), first + count
     rest = equations_of(events[first:], times[first:], marginal)
-    # The window has a floor of 1e-6 of curvature at each step, the dense chain has none.
-    np.testing.assert_allclose(rest.steps(0.0), expected[first:], atol=1e-4)
+    np.testing.assert_allclose(rest.steps(0.0), expected[first:], atol=1e-6)
     np.testing.assert_allclose(rest.variances(range(T - first)), sure[first:], rtol=1e-5)
 
 

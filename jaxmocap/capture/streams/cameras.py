@@ -206,13 +206,13 @@ def stream_frames(url: str, colour: bool, max_pixels: int) -> Images:
                 content = process.stdout.read(math.prod(shape))
                 if len(content) < math.prod(shape):
                     break
-                yield _shown(np.frombuffer(content, np.uint8).reshape(shape), layout)
+                yield _converted(np.frombuffer(content, np.uint8).reshape(shape), layout)
             raise InputError(short_repr(url), "the process that decodes it has ended")
         finally:
             process.kill()
 
 
-def _shown(image: np.ndarray, layout: int) -> np.ndarray:
+def _converted(image: np.ndarray, layout: int) -> np.ndarray:
     """Grey or BGR, of an image in any of the layouts."""
     import cv2
 
