@@ -224,6 +224,26 @@ def test_an_arm_that_is_lost_is_found_again():
     assert found[-8:].max() < 0.05
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_window_that_begins_far_off_does_not_whirl(seed):
+    """Derivatives tell little of a step of half a radian."""
+    smoother, rng, count = smoother_of(), np.random.default_rng(seed), 8
+    for i in range(count):
+        smoother.step(TIMES[i], markers()[i], [images()[i]], report(i))
+    window = smoother._window
+    window._forget()
+    offset = rng.normal(0, 0.5, 6 + PERSON.limits.shape[0]).astype(np.float32)
+    numbers = [event.number for event in window.events]
+    for event in window.events:
+        far = retract(on_device(Pose(*event.pose)), offset)
+        event.pose = Pose(*(np.asarray(part) for part in far))
+    for _ in range(6):
+        window.solve()
+    found = jax.tree.map(lambda *parts: np.stack(parts), *(event.pose for event in window.events))
+    off = np.linalg.norm(np.asarray(places_of(on_device(found))) - markers()[numbers], axis=-1)
+    assert off.max() < 0.2
+
+
 def test_an_arm_that_cameras_do_not_show_may_be_anywhere():
     hidden = smoother_of({"person": 0.0, "forearms": 0.0})
     shown, unseen = (joined(steps(smoother=own, count=14)) for own in (smoother_of(), hidden))
@@ -528,6 +548,18 @@ def test_points_that_smoothing_takes_off_their_markers_come_back():
     moved = jax.jit(moved_near_markers)(model, unpack(pose), still, markers)
     off = np.linalg.norm(marked(moved) - markers, axis=-1)
     assert off.max() < STRAY_M + 1e-3
+
+
+@pytest.mark.parametrize("away", [0.3, 0.6])
+def test_a_hand_that_is_back_from_elsewhere_leaves_the_head_where_it_is(away):
+    model = Model.create(PERSON, MARKERS)
+    pose = unpack(np.concatenate(at(truth(COUNT), 3)).astype(np.float32))
+    points = np.asarray(marked(pose))
+    markers = points + np.array([[0.0, 0, 0], [0, 0, 0], [-0.2, 0.0, away]])
+    still = np.zeros(6 + PERSON.limits.shape[0], np.float32)
+    moved = jax.jit(moved_near_markers)(model, pose, still, markers)
+    off = np.linalg.norm(marked(moved) - markers, axis=-1)
+    assert off[:2].max() < 0.03 and off[2] < 0.5 * np.hypot(0.2, away)
 
 
 @given(st.floats(-1, 1), st.floats(-9, 9), st.floats(0.001, 0.2), st.floats(0.001, 0.2))

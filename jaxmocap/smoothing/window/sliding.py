@@ -45,8 +45,11 @@ SEARCH_EVERY = 4
 RIVAL_M = 0.1
 RIVAL_GAIN = 5.0
 RIVAL_STEPS = 3
-# Share of the events' own curvature that holds them back.
-DAMPING = 1e-3
+# Share of the events' own curvature that holds them back. So many times as much, and again, where a
+# step goes so far that the derivatives misplace a landmark by more than this, metres: without it,
+# windows that late frames left far off whirled about for a second.
+DAMPING, DAMPED_MORE, DAMPINGS = 1e-3, 5.0, 6
+TRUSTED_M = 0.2
 # Most steps of a solve; one is enough where the derivatives misplace no landmark by more, metres.
 MOST_STEPS = 3
 LINEAR_M = 0.005
@@ -128,11 +131,11 @@ class Window:
             return self._equations()
         equations = self._rival() or self._equations()
         for _ in range(MOST_STEPS - 1):
-            if self._move(equations.steps(DAMPING)) < LINEAR_M:
+            if self._move(equations) < LINEAR_M:
                 return equations
             self._linearise()
             equations = self._equations()
-        self._move(equations.steps(DAMPING))
+        self._move(equations)
         return equations
 
     def variances(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -216,12 +219,22 @@ class Window:
         )
         return SilhouetteQuadratic(points, float(cost), hessian, gradient, 0 * gradient)
 
-    def _move(self, steps: np.ndarray) -> float:
-        """All events by steps (T, N).
+    def _move(self, equations: WindowEquations) -> float:
+        """All events by the equations' steps, as far as the derivatives are to be trusted.
 
         Returns:
-            By how much the derivatives misplace any landmark, metres.
+            By how much they misplace any landmark, metres.
         """
+        misplaced = np.inf
+        for more in range(DAMPINGS):
+            steps = equations.steps(DAMPING * DAMPED_MORE**more)
+            misplaced = self._move_by(steps)
+            if misplaced < TRUSTED_M:
+                break
+        return misplaced
+
+    def _move_by(self, steps: np.ndarray) -> float:
+        """All events by steps (T, N); by how much the derivatives misplace any landmark, metres."""
         origins = np.stack([_linear(event).pose for event in self.events])
         poses, points = moved(self._model.skeleton, origins, steps)
         for event, pose, step in zip(self.events, poses, steps, strict=True):

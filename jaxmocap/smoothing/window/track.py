@@ -32,8 +32,10 @@ FADED_M = 0.004
 # No point ends farther off its marker than this, metres. A limb that is pulled shakes its elbow.
 # The head's is two degrees at an orientation's lever.
 STRAY_M, HEAD_STRAY_M = 0.008, 0.004
-# Steps that bring points back, and their damping, metres: enough for a stretched arm.
-HOLDING_STEPS = 3
+# Steps that bring points back, how far one goes at most, metres, and their damping, metres: enough
+# for a stretched arm. A hand that is back from elsewhere would take the head along in one step.
+HOLDING_STEPS = 5
+HOLDING_STEP_M = 0.2
 HOLDING_DAMPING = 0.03
 # Pelvis and trunk follow so many times less than the limbs.
 TRUNK_STIFFNESS = 10.0
@@ -261,7 +263,7 @@ def on_markers(model: Model, pose: Pose, markers_world: Array) -> Pose:
         points = site_positions(skeleton, frames, sites)
         present = are_present(markers_world)[:, None, None]
         J = jnp.where(present, jacobian(skeleton, frames, sites.bones, points) / stiff, 0.0)
-        back = -off_targets(points, markers_world)
+        back = clamp_lengths(-off_targets(points, markers_world), HOLDING_STEP_M)
         J = J.reshape(-1, J.shape[-1])
         return retract(pose, damped_step(J, back.ravel(), HOLDING_DAMPING) / stiff)
 
