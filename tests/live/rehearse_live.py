@@ -234,10 +234,13 @@ def arm(side: str) -> tuple[str, ...]:
 
 def check_order_and_content(
     received: np.ndarray, stamps: np.ndarray, sent_points: np.ndarray, sent: np.ndarray
-) -> dict[str, float]:
+) -> tuple[np.ndarray, dict[str, float]]:
     """Poses' times ascend, and each pose is where a sample of about its time was.
 
     The run counts seconds from its own beginning, as far from ours as most poses say that fit best.
+
+    Returns:
+        When the poses' samples were sent, and figures.
     """
     assert (np.diff(stamps) > 0).all(), "poses came out of order"
     calm = [i for i in range(0, len(received), 5) if not in_trouble(received[i])]
@@ -252,24 +255,27 @@ def check_order_and_content(
 
     fits = [best(i, received[i] - 1.0, received[i])[0] for i in calm]
     shift = float(np.median(np.array(fits) - stamps[calm]))
-    offs = [best(i, stamps[i] + shift - NEAR_S, stamps[i] + shift + NEAR_S)[1] for i in calm]
+    times = stamps + shift
+    offs = [best(i, times[i] - NEAR_S, times[i] + NEAR_S)[1] for i in calm]
     worst = float(np.percentile(offs, 99))
     assert worst < NEAR_M, f"head or hands are {100 * worst:.1f} cm off their markers"
-    delay = float(np.median(received[calm] - stamps[calm] - shift))
-    return {"off_markers_cm_p99": 100 * worst, "sent_to_received_ms": 1e3 * delay}
+    delay = float(np.median(received[calm] - times[calm]))
+    return times, {"off_markers_cm_p99": 100 * worst, "sent_to_received_ms": 1e3 * delay}
 
 
 def in_trouble(at: float) -> bool:
     return any(begin <= at < end + RECOVERY_S for begin, end in FAULTS.values())
 
 
-def check_delivery(received: np.ndarray, sent: np.ndarray, begin: float, end: float) -> float:
-    """Share of the samples that came out, outside of faults and a second after each."""
+def check_delivery(times: np.ndarray, sent: np.ndarray, begin: float, end: float) -> float:
+    """Share of the samples that came out, outside of faults and a second after each.
+
+    By when the poses' samples were sent: by when poses came, a latency that varies looks like loss.
+    """
     edges = np.arange(begin, end, 0.25)
     calm = [e for e in edges if not in_trouble(e) and not in_trouble(e + 0.25)]
     counts = [
-        [np.count_nonzero((times >= e) & (times < e + 0.25)) for e in calm]
-        for times in (received, sent)
+        [np.count_nonzero((each >= e) & (each < e + 0.25)) for e in calm] for each in (times, sent)
     ]
     return float(np.sum(counts[0]) / np.sum(counts[1]))
 
@@ -392,12 +398,13 @@ def check_run(figures: dict, got: Path, logs: list[Path], out: Path) -> None:
     sent = np.array([[float(cell) for cell in row] for row in rows if len(row) == 10])
     print(f"latency: {figures['latency_ms']}; dropped: {figures['dropped']}")
     print(f"packets: {figures['packets']}, ignored: {figures['ignored']}")
-    share = check_delivery(received, sent[:, 0], 3.0, SECONDS - 1)
+    times, figures_of_poses = check_order_and_content(received, stamps, sent_points, sent)
+    share = check_delivery(times, sent[:, 0], 3.0, SECONDS - 1)
     shares = check_recovery(received, sent[:, 0])
     print(f"delivered {100 * share:.2f} %; a second after each fault:")
     for fault, value in shares.items():
         print(f"    {fault}: {100 * value:.0f} %")
-    print(check_order_and_content(received, stamps, sent_points, sent))
+    print(figures_of_poses)
     check_messages(figures["warnings"])
     assert len(received) >= figures["outputs"] * 0.999
     again = Recording.load(out / "recording.toml")
