@@ -3,7 +3,8 @@
 Six people walk and turn without a camera. Head and wrists carry markers, or ankles too; their
 bodies are stated by height and mass, or by a static trial. The reference is Plug-in Gait's joint
 centres. What walkers do (``body/data/walking.toml``) is learned of the others, for each of them;
-``--learn FILE`` writes it, learned of all.
+``--learn FILE`` writes it, learned of all. ``--causal`` tracks as a live run would, without what
+walkers do.
 
 INPUTS: recordings, with ``people/``. OUTPUTS: mean position errors of joints, centimetres; the
 elbows' acceleration as a multiple of the reference's; how many coordinates of the truth 90 %
@@ -20,6 +21,7 @@ from bench.command_line import command
 from bench.metrics import Metric, aligned, write_json
 from bench.walkers import MOVEMENTS, as_toml, learned, walks
 from jaxmocap.body.skeleton import landmark_rows
+from jaxmocap.capture.timeline import Mode
 from jaxmocap.evaluation.errors import interval_coverage
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.series import second_difference
@@ -42,11 +44,11 @@ HELD = tuple(f"{joint} within, %" for joint in JOINTS)
 FIGURES = (*(f"{joint}, cm" for joint in JOINTS), "acceleration, x", *HELD)
 
 
-def measure(recording: Path, habits: Habits | None = None) -> np.ndarray:
+def measure(recording: Path, habits: Habits | None = None, mode: Mode = "own") -> np.ndarray:
     """The ``FIGURES`` of one recording, by habits of walkers other than those of the package."""
     other = patch.object(markers_alone, "usual_habits", lambda: habits)
     with other if habits else nullcontext():
-        motion = track(Recording.load(recording))
+        motion = track(Recording.load(recording), mode=mode)
     truth = read_trc(recording.with_name(recording.name.split("_")[1] + ".trc"))
     errors = evaluate(motion, truth, PAIRS)
     off = dict(zip(errors.joints, errors.statistics()["mean"], strict=True))
@@ -78,6 +80,7 @@ def main() -> None:
     """Track, print."""
     parser = command("bench.people", __doc__)
     parser.add_argument("recordings", type=Path)
+    parser.add_argument("--causal", action="store_true", help="as a live run would have it")
     parser.add_argument("--only", metavar="PERSON,...", help="default: all")
     parser.add_argument("--json", metavar="FILE", help="write the metrics")
     parser.add_argument("--learn", metavar="FILE", help="write what all of them do, and end")
@@ -94,6 +97,7 @@ def main() -> None:
         folder.name: learned([own for name, own in walked.items() if name != folder.name])
         for folder in folders
     }
+    mode: Mode = "causal" if options.causal else "own"
     cases = [(m, b) for m in MARKERS for b in BODIES]
     rows, metrics = [["markers, body", "", *FIGURES]], []
     with progress_bar("tracking", True) as show:
@@ -102,7 +106,9 @@ def main() -> None:
             for folder in folders:
                 own = [
                     measure(
-                        folder / f"recording_{movement}_{markers}_{body}.toml", habits[folder.name]
+                        folder / f"recording_{movement}_{markers}_{body}.toml",
+                        habits[folder.name],
+                        mode,
                     )
                     for movement in MOVEMENTS
                 ]

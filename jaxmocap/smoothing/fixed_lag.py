@@ -1,4 +1,4 @@
-"""Smoothing while it happens: each pose waits for two more video frames, and no longer.
+"""Smoothing while it happens: each pose waits for two more video frames, 0.1 s at most.
 
 The same terms as over a whole recording, over the newest frames alone; earlier ones are condensed
 into a marginal prior. Marker samples that follow closely lie between two poses of that window, and
@@ -59,8 +59,8 @@ from jaxmocap.solvers.fading import Fading
 
 # A pose is given out once so many later video frames came,
 DELAY_FRAMES = 2
-# and so many seconds later at most.
-DELAY_S = 0.1
+# and so many seconds later at most; without video, where events wait for one another as well.
+DELAY_S, DELAY_WITHOUT_VIDEO_S = 0.1, 0.05
 # Video frames that stay in the window,
 KEPT_FRAMES = 3
 # for so many seconds at most.
@@ -78,8 +78,8 @@ MOST_WAITING, MOST_WAITING_UNSEEN = 3, 2
 # Deviations are found at one video frame in so many, and hold until the next one.
 SURE_EVERY = 5
 # Silhouettes err alike from frame to frame. So deviations are so many times larger than by counting
-# each frame for itself: by ten rendered clips and one real person.
-ERRS_ALIKE = 1.4
+# each frame for itself: by ten rendered clips and one real person; by six real people who walk.
+ERRS_ALIKE, ERRS_ALIKE_WITHOUT_VIDEO = 1.4, 2.2
 # What the search for arms moves: elbow, wrist and hand's tip of either side.
 ARM_LANDMARKS = np.stack(
     [landmark_rows([f"{p}_{s}" for p in ("elbow", "wrist", "hand")]) for s in "lr"]
@@ -98,7 +98,7 @@ class SmoothedPose(NamedTuple):
         time: of its event, seconds.
         pose: smoothed.
         deviations: (L, 3) standard deviations of the landmarks' coordinates, world, metres; found
-            at every ``SURE_EVERY``th video frame.
+            every ``SURE_EVERY`` video frames, or solves without video.
         from_prior: (L,) 1 where markers and video leave a landmark almost as uncertain as it is
             without them, else 0.
     """
@@ -114,14 +114,12 @@ class FixedLagSmoother:
     """Smooths one person's poses, at most ``DELAY_FRAMES`` video frames behind the tracker."""
 
     def __init__(self, model: Model, settings: SmoothingSettings):
-        """Prepare for a model with cameras; nothing of the room is learned yet.
+        """Prepare; nothing of the room is learned yet.
 
         Args:
-            model: of the person, the markers and the cameras.
+            model: of the person, the markers and the cameras, of which there may be none.
             settings: of the smoothing.
         """
-        if not model.camera_count:
-            raise ValueError("FixedLagSmoother needs a model with at least one camera")
         self.model, self.settings = model, settings
         self._person = replace(model, cameras=None)
         self._window = Window(model, settings)
@@ -293,7 +291,8 @@ class FixedLagSmoother:
             variances = self._window.variances([newest])
             each = landmark_deviations(*variances, float(self.settings.mismatch))
             self._sure, self._frames_since_sure = (each[0][0], each[1][0]), 0
-        deviations = np.hypot(ERRS_ALIKE * self._sure[0], FADED_M)
+        alike = ERRS_ALIKE if self.model.camera_count else ERRS_ALIKE_WITHOUT_VIDEO
+        deviations = np.hypot(alike * self._sure[0], FADED_M)
         if self._is_seen:
             spread = self._window.arms_spread
             deviations[ARM_LANDMARKS] = np.hypot(deviations[ARM_LANDMARKS], spread)
@@ -302,10 +301,11 @@ class FixedLagSmoother:
     def _due(self, final: bool) -> list[int]:
         """Which events of the window have waited long enough."""
         events, later, due = self._window.events, 0, []
-        final = final or not self._is_seen
+        longest = DELAY_S if self.model.camera_count else DELAY_WITHOUT_VIDEO_S
+        final = final or bool(self.model.camera_count and not self._is_seen)
         for i in reversed(range(len(events))):
             waited = events[-1].time - events[i].time
-            if final or later >= DELAY_FRAMES or waited >= DELAY_S:
+            if final or later >= DELAY_FRAMES or waited >= longest:
                 due.append(i)
             later += bool(events[i].frames)
         return due[::-1]

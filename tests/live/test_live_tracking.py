@@ -249,6 +249,13 @@ def test_without_a_camera_elbows_are_by_markers_alone_and_nothing_waits_for_it(t
     assert [output.time for output in late][-1] == 179 / 90
 
 
+def test_smoothing_without_cameras_waits_for_none_and_states_deviations(tracking):
+    live = tracking(smooth=True, cameras=0)
+    for i in range(60):
+        (output,) = live.sample(sample(i / 90))
+        assert output.time == i / 90 and np.isfinite(output.deviations).all()
+
+
 def test_markers_go_through_the_one_euro_filter_where_that_is_asked_for(tracking):
     rng = np.random.default_rng(0)
     jitter = rng.normal(0, 0.002, (90, 3, 3))

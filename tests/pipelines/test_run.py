@@ -237,6 +237,23 @@ def test_causal_rows_do_not_depend_on_what_comes_later(causal):
     assert np.abs(first[half:] - second[half:]).max() > 1e-3
 
 
+def test_causal_poses_without_video_are_smoothed_and_stated():
+    recording = replace(small_recording(), videos=())
+    half = SAMPLES // 2
+    moved = recording.positions_world.copy()
+    moved[half:] += 0.05
+    motion, changed = (
+        track(replace(recording, positions_world=positions), mode="causal")
+        for positions in (recording.positions_world, moved)
+    )
+    assert motion.report.settings["latency"] == {"seconds": DELAY_S}
+    assert np.isfinite(motion.report.landmarks_std).all()
+    assert motion.report.marker_errors.max() < 0.02
+    final = int(np.flatnonzero(recording.times <= recording.times[half - 1] - DELAY_S)[-1])
+    first, second = (each.poses.angles for each in (motion, changed))
+    np.testing.assert_array_equal(first[:final], second[:final])
+
+
 def test_without_video_the_markers_are_tracked_alone():
     recording = replace(small_recording(), videos=())
     motion = track(recording, Settings())

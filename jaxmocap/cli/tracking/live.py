@@ -18,7 +18,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--smooth",
         action="store_true",
-        help="give each pose out, smoothed, after two more video frames",
+        help="give each pose out, smoothed, after two more video frames, or 0.1 s without video",
     )
     add(
         "--calibrate",

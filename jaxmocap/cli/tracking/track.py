@@ -22,7 +22,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         action="store_const",
         const="causal",
         help="use no later marker or frame than a live run would, which smooths each pose once it "
-        "has received two more video frames",
+        "has received two more video frames, or 0.1 s later at most",
     )
     mode.add_argument(
         "--nearest",

@@ -3,7 +3,8 @@
     sample ── recent markers ── step ───────────────────────────── Output
     frame ─── recent markers, at the frame's own time ── step ──── (elbows of the next samples)
 
-With smoothing both are stepped in the order of their times, and each Output comes two frames later.
+With smoothing both are stepped in the order of their times, and each Output comes two frames later,
+or 0.1 s without cameras.
 
 INPUTS: Samples, Frames. OUTPUTS: Outputs.
 """
@@ -50,7 +51,7 @@ class Output(NamedTuple):
         time: of its sample, seconds.
         pose: of the person.
         deviations: (2,) standard deviations of the elbows, metres; NaN where unknown, and where
-            no camera brought a frame within ``UNSEEN_S``.
+            no camera, of some, brought a frame within ``UNSEEN_S``.
         arrived: when its sample was received, seconds on the same clock.
     """
 
@@ -65,7 +66,6 @@ class LiveTracking:
 
     Attributes:
         tracker: of the person.
-        needs_colour: whether frames are to be BGR.
         placements: how often the body was placed from scratch.
         late_events: samples and frames that arrived too late for the smoothing.
     """
@@ -82,7 +82,7 @@ class LiveTracking:
         Args:
             setup: person, markers, cameras.
             settings: of the tracker.
-            smooth: whether poses are smoothed, two frames late.
+            smooth: whether poses are smoothed, two frames late; frames are to be BGR then.
             tracker: of this person, these markers and cameras, compiled before.
 
         Raises:
@@ -90,8 +90,8 @@ class LiveTracking:
         """
         cameras = [v.camera for v in setup.videos] if settings.refine != "none" else []
         sites = marker_sites(setup.skeleton, bone_points(setup.skeleton, setup.places))
-        self._cameras, self.needs_colour = len(cameras), smooth and bool(cameras)
-        if problem := unused_setting(settings, self.needs_colour, causal=True):
+        self._cameras, self._smooth = len(cameras), smooth
+        if problem := unused_setting(settings, smooth, causal=True):
             raise ValueError(problem)
         if tracker is None:
             tracker = HybridTracker(setup.skeleton, cameras, settings, sites)
@@ -140,7 +140,7 @@ class LiveTracking:
         self._recent_markers = RecentMarkers(points)
         self._filtered = None if self._filter is None else self._filter.init(points)
         model, settings = self.tracker.model, self.tracker.settings.smoothing
-        self._smoother = FixedLagSmoother(model, settings) if self.needs_colour else None
+        self._smoother = FixedLagSmoother(model, settings) if self._smooth else None
         self._pending: list[MarkerSample | LiveFrame] = []
         # Of each event behind the smoother: its sample's arrival, or None.
         self._arrivals: deque[tuple[int, float | None]] = deque()
@@ -162,13 +162,13 @@ class LiveTracking:
         jax.block_until_ready(self.tracker.solve(self.tracker.init(points), points))
         self._can_solve.set()
         sizes = [] if model.cameras is None else np.asarray(model.cameras.size, int)
-        for i in range(12 if self.needs_colour else 2):
+        for i in range(12 if self._smooth else 2):
             time = i / 30
             if self._ended.is_set():
                 return
             self.sample(MarkerSample(time, points, time))
             for camera, (width, height) in enumerate(sizes):
-                wall = np.full((height, width, 3)[: 3 if self.needs_colour else 2], 128, np.uint8)
+                wall = np.full((height, width, 3)[: 3 if self._smooth else 2], 128, np.uint8)
                 self.frames([LiveFrame(camera, time + 0.01, wall, time + 0.01)])
 
     def sample(self, sample: MarkerSample) -> list[Output]:
@@ -251,7 +251,8 @@ class LiveTracking:
         if not np.isfinite(self._last_frame_arrived):
             self._last_frame_arrived = newest
         frame_times = [event.time for event in self._pending if isinstance(event, LiveFrame)]
-        waited = REORDERING_S if newest - self._last_frame_arrived < UNSEEN_S else 0.0
+        is_seen = self._cameras and newest - self._last_frame_arrived < UNSEEN_S
+        waited = REORDERING_S if is_seen else 0.0
         return self._release(max([newest - waited, *frame_times]))
 
     def _release(self, until: float) -> list[Output]:
@@ -296,6 +297,10 @@ class LiveTracking:
     def _output(
         self, time: float, pose: Pose, deviations: Array | np.ndarray, arrived: float
     ) -> Output:
-        """An output, its deviations unknown where no camera has seen the person of late."""
-        is_seen = time - self._last_frame < UNSEEN_S
-        return Output(time, pose, np.where(is_seen, deviations, np.nan), arrived)
+        """An output, its deviations unknown where no camera has seen the person of late.
+
+        Those of smoothing without any camera are of the markers alone.
+        """
+        alone = self._smooth and not self._cameras
+        is_stated = alone or time - self._last_frame < UNSEEN_S
+        return Output(time, pose, np.where(is_stated, deviations, np.nan), arrived)

@@ -69,7 +69,7 @@ def track(
         mode: ``own`` looks at each video frame at its own time, with the markers interpolated
             there; ``nearest`` looks at the frame nearest to each marker sample, as in the paper;
             ``causal`` is ``own`` without any later marker or frame than a live run would have:
-            poses are smoothed by what came before and by at most two more video frames.
+            poses are smoothed by what came before and by at most two more video frames, or 0.1 s.
         progress: called with the events done and their total, then with the percent of the second
             pass done and 100; True shows a bar on stderr, None does so on a terminal.
         tracker: of ``make_tracker`` for this recording, so that it compiles once for several
@@ -122,8 +122,8 @@ def track_both(
     used = opened.videos if tracker.model.camera_count else []
     events = RecordingEvents.of(opened.recording, used, mode, opened.cleaning)
     marked = not (causal and used) and is_marked(tracker)
-    # Markers that determine the body need no smoothing but by the video; causally none has it.
-    smooth = tracker.settings.smooth and (bool(used) or not (marked or causal))
+    # Markers that determine the body need no smoothing but by the video.
+    smooth = tracker.settings.smooth and (bool(used) or not marked)
     if problem := unused_setting(tracker.settings, smooth or marked, causal):
         raise ValueError(problem)
     if why and (causal or not smooth):
@@ -167,7 +167,7 @@ def track_both(
         "camera_turns_deg": dict(zip(cameras, turns, strict=False)),
         "deviations_without_m": deviations_without(left_out or (), recording.marker_names, cameras),
         "deviations": {"calibrated_on": _calibrated_on(tracker.settings.smooth, used, causal)},
-        "latency": {"video frames": DELAY_FRAMES, "seconds": DELAY_S} if smoother else {},
+        "latency": _longest_wait(bool(used)) if smoother else {},
         "video_frames": int((events.timeline.frame_index >= 0).any(-1).sum()) if used else 0,
         "seconds": {"first pass": passed - began, "second pass": perf_counter() - passed},
     }
@@ -252,6 +252,11 @@ def _low_passed(
     for part, new in zip(poses, filtered, strict=True):
         part[rows] = new
     return poses
+
+
+def _longest_wait(has_video: bool) -> dict[str, float]:
+    """That a smoothed causal pose has to be given out."""
+    return ({"video frames": DELAY_FRAMES} if has_video else {}) | {"seconds": DELAY_S}
 
 
 def _calibrated_on(smooth: bool, videos: Sequence[FrameSource], causal: bool) -> str | None:
