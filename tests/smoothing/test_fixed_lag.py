@@ -230,7 +230,7 @@ def test_an_arm_that_is_lost_is_found_again():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_window_that_begins_far_off_does_not_whirl(seed):
+def test_a_window_that_begins_far_off_does_not_diverge(seed):
     """Derivatives tell little of a step of half a radian."""
     smoother, rng, count = smoother_of(), np.random.default_rng(seed), 8
     for i in range(count):

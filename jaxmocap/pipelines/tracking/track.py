@@ -255,7 +255,7 @@ def _low_passed(
 
 
 def _longest_wait(has_video: bool) -> dict[str, float]:
-    """That a smoothed causal pose has to be given out."""
+    """Within which a smoothed causal pose is given out."""
     return ({"video frames": DELAY_FRAMES} if has_video else {}) | {"seconds": DELAY_S}
 
 

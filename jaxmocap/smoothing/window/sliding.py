@@ -46,8 +46,8 @@ RIVAL_M = 0.1
 RIVAL_GAIN = 5.0
 RIVAL_STEPS = 3
 # Share of the events' own curvature that holds them back. So many times as much, and again, where a
-# step goes so far that the derivatives misplace a landmark by more than this, metres: without it,
-# windows that late frames left far off whirled about for a second.
+# step goes so far that the derivatives misplace a landmark by more than this, metres: else windows
+# that late frames left far off diverge.
 DAMPING, DAMPED_MORE, DAMPINGS = 1e-3, 5.0, 6
 TRUSTED_M = 0.2
 # Most steps of a solve; one is enough where the derivatives misplace no landmark by more, metres.
