@@ -34,8 +34,8 @@ FADED_M = 0.004
 STRAY_M, HEAD_STRAY_M = 0.008, 0.004
 # Steps that bring points back, how far one goes at most, metres, and their damping, metres: enough
 # for a stretched arm. A hand that is back from elsewhere would take the head along in one step.
-HOLDING_STEPS = 5
-HOLDING_STEP_M = 0.2
+HOLDING_STEPS = 3
+HOLDING_STEP_M = 0.3
 HOLDING_DAMPING = 0.03
 # Pelvis and trunk follow so many times less than the limbs.
 TRUNK_STIFFNESS = 10.0
