@@ -569,7 +569,7 @@ def test_points_that_smoothing_takes_off_their_markers_come_back():
     assert off.max() < STRAY_M + 1e-3
 
 
-@pytest.mark.parametrize("away", [0.3, 0.6])
+@pytest.mark.parametrize("away", [0.6, 0.9, 1.2])
 def test_a_hand_that_is_back_from_elsewhere_leaves_the_head_where_it_is(away):
     model = Model.create(PERSON, MARKERS)
     pose = unpack(np.concatenate(at(truth(COUNT), 3)).astype(np.float32))
@@ -578,7 +578,7 @@ def test_a_hand_that_is_back_from_elsewhere_leaves_the_head_where_it_is(away):
     still = np.zeros(6 + PERSON.limits.shape[0], np.float32)
     moved = jax.jit(moved_near_markers)(model, pose, still, markers)
     off = np.linalg.norm(marked(moved) - markers, axis=-1)
-    assert off[:2].max() < 0.03 and off[2] < 0.5 * np.hypot(0.2, away)
+    assert off[:2].max() < 0.02 and off[2] < 0.7 * np.hypot(0.2, away)
 
 
 @given(st.floats(-1, 1), st.floats(-9, 9), st.floats(0.001, 0.2), st.floats(0.001, 0.2))

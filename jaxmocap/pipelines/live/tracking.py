@@ -297,10 +297,7 @@ class LiveTracking:
     def _output(
         self, time: float, pose: Pose, deviations: Array | np.ndarray, arrived: float
     ) -> Output:
-        """An output, its deviations unknown where no camera has seen the person of late.
-
-        Those of smoothing without any camera are of the markers alone.
-        """
+        """An output, its deviations unknown where cameras have brought no frame of late."""
         alone = self._smooth and not self._cameras
         is_stated = alone or time - self._last_frame < UNSEEN_S
         return Output(time, pose, np.where(is_stated, deviations, np.nan), arrived)
