@@ -2,10 +2,11 @@
 
 Each tracker by itself: offline, causally, by silhouettes; by markers alone see ``bench.people``. Of
 each kind of joint the share of true coordinates that 90 % intervals contain, and how many times
-larger the error is than stated. 80 to 97 % and 0.7 to 1.3 are asked for.
+larger the error is than stated. 80 to 97 % and 0.7 to 1.3 are asked for. And the risk: the error of
+the samples that are kept when the least sure are left out first.
 
 INPUTS: the folder of recordings, with ``balancing/`` and ``person/person.npz`` in it.
-OUTPUTS: a table, and Metrics as JSON.
+OUTPUTS: two tables; Metrics as JSON; a picture of the curves.
 """
 
 import argparse
@@ -19,14 +20,15 @@ import numpy as np
 
 from bench.clips import REAL_LANDMARKS, Clip, exercises, real, synthetic
 from bench.command_line import add_rendered, command
-from bench.evaluation import Sureness, sureness_of
 from bench.metrics import Metric, aligned, write_json
 from bench.silhouette import REAL
-from jaxmocap.body.motion import Motion
+from jaxmocap.body.motion import UNDETERMINED_M, Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.capture.timeline import Mode
-from jaxmocap.evaluation.errors import interval_coverage
+from jaxmocap.evaluation.errors import Errors, interval_coverage
+from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.reliability import plot_reliability, risk_curve, stated_and_found
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -44,9 +46,11 @@ WAYS: dict[str, Mode] = {"hybrid": "own", "causal": "causal"}
 SILHOUETTES = "silhouettes"
 AZIMUTHS_DEG = (0.0, -60.0, 60.0, -30.0, 30.0)
 EXERCISES = ("walking", "arm_raises")
+# Shares of the samples, the surest first.
+KEPT = (1.0, 0.9, 0.75, 0.5)
 
 
-def sureness(options: argparse.Namespace, keep: Path) -> Iterator[tuple[str, Sureness]]:
+def tracked(options: argparse.Namespace, keep: Path) -> Iterator[tuple[str, Errors]]:
     """Each tracker's case, and the errors of one recording beside what was stated."""
     folder = Path(options.recordings)
     for way, mode in WAYS.items():
@@ -58,18 +62,18 @@ def sureness(options: argparse.Namespace, keep: Path) -> Iterator[tuple[str, Sur
             clips += [(motion, clip) for clip in played]
         for kind, clip in clips:
             print(f"{way}: {clip.name}", file=sys.stderr, flush=True)
-            yield f"{way}, {kind}", _stated(clip, track(Recording.load(clip.path), mode=mode))
+            yield f"{way}, {kind}", _errors(clip, track(Recording.load(clip.path), mode=mode))
     if SILHOUETTES in options.only:
         path = folder / REAL / "recording_all_cameras.toml"
         recording, clip = Recording.load(path), Clip(REAL, REAL, path, REAL_LANDMARKS)
         start = start_pose(recording, body=Settings.body)
-        tracked = track_silhouettes(recording, start, progress=True).motion
-        yield f"{SILHOUETTES}, real, four cameras", _stated(clip, tracked)
+        motion = track_silhouettes(recording, start, progress=True).motion
+        yield f"{SILHOUETTES}, real, four cameras", _errors(clip, motion)
         for clip, recording, start in rendered(options, folder / "person" / "person.npz", keep):
             for cameras in (4, 2):
                 some = replace(recording, videos=recording.videos[:cameras])
-                tracked = track_silhouettes(some, start, progress=True).motion
-                yield f"{SILHOUETTES}, rendered, {cameras} cameras", _stated(clip, tracked)
+                motion = track_silhouettes(some, start, progress=True).motion
+                yield f"{SILHOUETTES}, rendered, {cameras} cameras", _errors(clip, motion)
 
 
 def rendered(
@@ -85,24 +89,42 @@ def rendered(
             yield clip, recording, pose_at_landmarks(with_joints(skeleton, Settings.body), first)
 
 
-def _stated(clip: Clip, motion: Motion) -> Sureness:
-    found = sureness_of(motion, clip)
-    assert found is not None
+def _errors(clip: Clip, motion: Motion) -> Errors:
+    found = evaluate(motion, clip.truth, clip.landmarks)
+    assert found.deviations is not None
     return found
 
 
-def row_of(each: list[Sureness]) -> np.ndarray:
+def pooled(each: list[Errors]) -> Errors:
+    """Recordings with the same landmarks as one."""
+    joints, *_ = {errors.joints for errors in each}
+    names = ("times", "offsets", "deviations")
+    parts = ([getattr(errors, name) for errors in each] for name in names)
+    return Errors(joints, *(np.concatenate(part) for part in parts))
+
+
+def row_of(errors: Errors) -> np.ndarray:
     """(2, 1 + KINDS) share within 90 % and RMS error by the median stated, of kinds and of all."""
-    found = []
+    found, deviations = [], errors.deviations
+    assert deviations is not None
     for kinds in (*((kind,) for kind in KINDS), KINDS):
-        chosen = [name.split("_")[0] in kinds for name in each[0].landmarks]
-        offsets, stated = (
-            np.concatenate([part[:, chosen].ravel() for part in parts])
-            for parts in ([one.offsets for one in each], [one.deviations for one in each])
-        )
+        chosen = [name.split("_")[0] in kinds for name in errors.joints]
+        offsets, stated = errors.offsets[:, chosen].ravel(), deviations[:, chosen].ravel()
         held = interval_coverage(np.zeros_like(offsets), offsets, stated)
         found.append([100 * float(held.share), 1 / float(held.ratio)])
     return np.array(found).T
+
+
+def risks_of(errors: Errors) -> list[float]:
+    """Mean error of the surest samples, of each share of ``KEPT``; and of the undetermined, cm.
+
+    Last the share of samples that are stated as undetermined, per cent.
+    """
+    stated, found = stated_and_found(errors)
+    shares, risk = risk_curve(stated, found)
+    kept = [100 * float(risk[np.searchsorted(shares, share)]) for share in KEPT]
+    lost = stated > UNDETERMINED_M
+    return [*kept, 100 * float(found[lost].mean()) if lost.any() else np.nan, 100 * lost.mean()]
 
 
 def main() -> None:
@@ -111,24 +133,37 @@ def main() -> None:
     parser.add_argument("recordings")
     ways = [*WAYS, SILHOUETTES]
     parser.add_argument("--only", default=",".join(ways), help=f"of {', '.join(ways)}")
+    parser.add_argument(
+        "--plot", metavar="FILE", help="draw reliability and risk (.png, .svg, .pdf)"
+    )
     add_rendered(parser)
     options = parser.parse_args()
     keep_compiled()
-    cases: dict[str, list[Sureness]] = {}
+    cases: dict[str, list[Errors]] = {}
     with tempfile.TemporaryDirectory() as scratch:
-        for case, found in sureness(options, Path(options.keep or scratch)):
+        for case, found in tracked(options, Path(options.keep or scratch)):
             cases.setdefault(case, []).append(found)
+    runs = {case: pooled(each) for case, each in cases.items()}
     rows, metrics = [["within 90 %, error / stated", *(f"{k}s" for k in KINDS), "all"]], []
-    for case, each in cases.items():
-        shares, ratios = row_of(each)
+    shares_kept = [f"{100 * share:.0f} % kept" for share in KEPT]
+    risks = [["mean error of all landmarks, cm", *shares_kept, "undetermined", "share, %"]]
+    for case, errors in runs.items():
+        shares, ratios = row_of(errors)
         rows.append([case, *(f"{s:.0f} ({r:.1f})" for s, r in zip(shares, ratios, strict=True))])
+        risks.append([case, *(f"{value:.1f}" for value in risks_of(errors))])
         metrics += [
             Metric(f"{case}: {kind}", float(share), "%", "higher", 0.05)
             for kind, share in zip((*KINDS, "all"), shares, strict=True)
         ]
-    print(aligned(rows))
+    print(aligned(rows), aligned(risks), sep="\n\n")
     if options.json:
         write_json(metrics, options.json)
+    if options.plot:
+        groups: dict[str, list[Errors]] = {}
+        for case, each in cases.items():
+            way = case.split(",")[0]
+            groups.setdefault(f"{way}, {'real' if 'real' in case else 'rendered'}", []).extend(each)
+        plot_reliability(options.plot, {name: pooled(each) for name, each in groups.items()})
 
 
 if __name__ == "__main__":

@@ -4,7 +4,8 @@ INPUTS: a Motion with its Report. OUTPUTS: plain text; frames per second; JSON.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -45,10 +46,7 @@ def summary(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] 
         rows += _figures(report)
         if fitted := report.settings.get("fitted"):
             rows.append(("fitted", fitted))
-        counts: dict[str, int] = {}
-        for sentence in (line for lines in report.statuses for line in lines):
-            counts[sentence] = counts.get(sentence, 0) + 1
-        rows += [("status", f"{sentence} ({n} samples)") for sentence, n in counts.items()]
+        rows += [("status", sentence) for sentence in _statuses(report)]
         if on := report.settings.get("filters", {}).get("on"):
             rows.append(("filters", ", ".join(f"{name} = {value}" for name, value in on.items())))
         rows += [("warning", warning) for warning in report.settings.get("warnings", ())]
@@ -74,8 +72,7 @@ def _figures(report: Report) -> list[tuple[str, str]]:
     if errors:
         rows.append(("markers", f"position error {', '.join(errors)} (95 %)"))
     deviations = report.elbow_deviations
-    # Those of silhouettes alone are far too small still.
-    if len(report.markers) and np.isfinite(deviations).any():
+    if np.isfinite(deviations).any():
         left, right = 100 * np.nanmedian(deviations, 0)
         rows.append(("elbows", f"left ± {left:.1f} cm, right ± {right:.1f} cm (median)"))
     without = report.settings.get("deviations_without_m", {})
@@ -86,6 +83,18 @@ def _figures(report: Report) -> list[tuple[str, str]]:
         within = f"not determined within {100 * UNDETERMINED_M:.0f} cm"
         rows.append(("unsure", f"{within}: {', '.join(unsure)} of the samples"))
     return rows
+
+
+def _statuses(report: Report) -> Iterator[str]:
+    """Each kind of status, with how many samples have it: what it is about, most often first."""
+    kinds: dict[str, Counter[str]] = {}
+    for sentence in (line for lines in report.statuses for line in lines):
+        kind, colon, about = sentence.partition(": ")
+        kinds.setdefault(kind + colon, Counter())[about] += 1
+    for kind, counts in kinds.items():
+        (first, n), *others = counts.most_common()
+        listed = [f"{kind}{first} ({n} samples)", *(f"{about} ({k})" for about, k in others)]
+        yield ", ".join(listed)
 
 
 def _why(landmark: str, deviations_m: Mapping[str, float]) -> str:

@@ -535,6 +535,17 @@ def test_the_summary_names_passes_deviations_and_files(written, tracked):
         assert words in text
 
 
+def test_the_summary_has_a_line_for_each_kind_of_status(tracked):
+    """25 joints that are hidden for moments would be 25 lines, and hide what matters."""
+    statuses = [("lost",), ("held: a", "held: b"), ("held: b",), ("lost", "b: far")]
+    found = summary(
+        replace(tracked.motion, report=replace(tracked.motion.report, statuses=statuses))
+    )
+    lines = [line for line in found.splitlines() if line.startswith("status")]
+    expected = ("lost (2 samples)", "held: b (2 samples), a (1)", "b: far (1 samples)")
+    assert [line.split(maxsplit=1)[1] for line in lines] == list(expected)
+
+
 def off_by(motion: Motion, metres: float, share: float) -> Motion:
     """The motion, as if its body were so far off the head's marker in a share of the samples."""
     errors = motion.report.marker_errors.copy()
