@@ -28,7 +28,7 @@ from bench.metrics import Metric, aligned, stage_metrics, table, write_json
 from bench.silhouette_faults import in_memory
 from bench.stages import STAGES, WHOLE_FRAME, stages_timed
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, with_joints
+from jaxmocap.body.skeleton import LANDMARKS, WINTER, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.cli.silhouette.track import add_settings, settings_of
@@ -244,7 +244,9 @@ def chosen(options: argparse.Namespace, keep: Path) -> list[Clip]:
         if not path.is_file():
             painted = performer_of(options.seconds, seed, None, PAINTED)
             with progress_bar(f"rendering {name}", True) as show:
-                write_four_cameras(path.parent, painted, options.seconds, seed, progress=show)
+                write_four_cameras(
+                    path.parent, painted, options.seconds, seed, progress=show, proportions=WINTER
+                )
         clips.append(Clip(PAINTED, name, path, {mark: mark for mark in LANDMARKS}, seed))
     return clips
 

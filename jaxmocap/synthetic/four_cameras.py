@@ -129,6 +129,7 @@ def write_four_cameras(
     seed: int = 0,
     height: float = 1.75,
     progress: Progress | None = None,
+    proportions: str | None = None,
 ) -> Path:
     """Write the recording of someone seen by the cameras of ``cameras_around``.
 
@@ -139,6 +140,7 @@ def write_four_cameras(
         seed: of rooms and sensor noise.
         height: of the person, as the recording states it, metres.
         progress: called with the frames done and their total.
+        proportions: of the person, as the recording states them; None for those of most people.
 
     Returns:
         The path of ``recording.toml``.
@@ -163,7 +165,7 @@ def write_four_cameras(
     write_truth(directory, performer, times, views)
     write_calibration(directory / "calibration.toml", {view.name: view.camera for view in views})
     videos = [{"file": f"{view.name}.mp4", "camera": view.name} for view in views]
-    subject = {"height": height}
+    subject = {"height": height} | ({} if proportions is None else {"proportions": proportions})
     return write_recording(directory, None, {}, videos, "calibration.toml", subject)
 
 

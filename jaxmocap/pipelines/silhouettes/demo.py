@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.body.skeleton import LANDMARKS, with_joints
+from jaxmocap.body.skeleton import LANDMARKS, WINTER, with_joints
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.plots import plot_joint_errors
@@ -129,7 +129,8 @@ def demonstrate_silhouettes(
     outputs = OutputFolder(folder, MOTION, FILES)
     with recording_folder.writing() as stage, progress_bar("rendering", progress) as show:
         performer = performer_of(seconds, seed, person, kind)
-        write_four_cameras(stage, performer, seconds, seed, HEIGHT, show)
+        proportions = WINTER if person is None else None
+        write_four_cameras(stage, performer, seconds, seed, HEIGHT, show, proportions)
     recording = Recording.load(recording_folder.path / "recording.toml")
     truth = recording_folder.path / "truth.trc"
     before, files, own = None, [], None
