@@ -1,5 +1,7 @@
 """``silhouette track`` and ``silhouette demo``: bad input is one clear sentence and exit code 2."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from test_point_rays import ring
@@ -9,7 +11,8 @@ from jaxmocap.cli.program import main
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, write_recording
-from jaxmocap.pipelines.silhouettes import track
+from jaxmocap.formats.time_series.trc import read_trc
+from jaxmocap.pipelines.silhouettes import demo, track
 from jaxmocap.silhouette.first_pose import standing_pose_at
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.synthetic.recording import write_video
@@ -195,3 +198,24 @@ def test_a_demo_of_nobody_or_no_time_is_refused(
 ):
     monkeypatch.chdir(folder)
     assert expected in message_of(capsys, "demo", "--out", tmp_path / "demo", *given)
+
+
+class RecordedError(Exception):
+    """The demo's recording is there: no need to track it."""
+
+
+def test_the_demo_states_whose_body_its_person_has(tmp_path, monkeypatch):
+    """Its upper arms were taken as a quarter shorter than they are, and elbows were 13 cm off."""
+    upper_arms = []
+
+    def compare(recording: Recording, truth: Path, *_: object) -> None:
+        points, skeleton = read_trc(truth).points(), recording.skeleton
+        found = skeleton.lengths[skeleton.tree.bone("humerus_l")]
+        upper_arms.extend([found, np.linalg.norm(points["elbow_l"][0] - points["shoulder_l"][0])])
+        raise RecordedError
+
+    monkeypatch.setattr(demo, "tracked_from_truth", compare)
+    with pytest.raises(RecordedError):
+        demo.demonstrate_silhouettes(tmp_path, seconds=0.04)
+    found, true = upper_arms
+    assert found == pytest.approx(true, abs=0.01)
