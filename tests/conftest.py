@@ -113,9 +113,9 @@ def complaint(read, *arguments, **options) -> str:
     return text
 
 
-def problem_of(read, path: Path) -> str:
+def problem_of(read, path: Path, *arguments) -> str:
     """What a file is refused with, behind its name."""
-    text = complaint(read, path)
+    text = complaint(read, path, *arguments)
     assert text.startswith(f"{path}: ")
     return text.removeprefix(f"{path}: ")
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import complaint
 from hypothesis import given
 from hypothesis import strategies as st
 from small_recording import CAMERA, PLACES, small_recording, standing
@@ -142,8 +143,7 @@ def test_where_no_face_is_seen_the_model_must_be_stated(tmp_path):
     person = points("BODY_25B")
     person[:5] = 0
     write(tmp_path, {"0.json": openpose(person)})
-    with pytest.raises(InputError, match=r"state keypoints_model = \"BODY_25\" or \"BODY_25B\""):
-        read_keypoints(tmp_path)
+    assert 'state keypoints_model = "BODY_25" or "BODY_25B"' in complaint(read_keypoints, tmp_path)
     actual = read_keypoints(tmp_path, "BODY_25B")
     assert actual.pixels_xy[0, 0, actual.landmarks.index("elbow_l")].tolist() == pixel("elbow_l")
 
@@ -257,8 +257,7 @@ def test_names_in_the_file_come_before_the_count(tmp_path):
     assert actual.landmarks[0] == "pelvis" and len(actual.landmarks) == 13
     assert_the_person(actual, 0, 0, 0)
     write(tmp_path, {"results_cam.json": {"meta_info": {}, "instance_info": [instance(person)]}})
-    with pytest.raises(InputError, match="no frame number in its name"):
-        read_keypoints(tmp_path)
+    assert "no frame number in its name" in complaint(read_keypoints, tmp_path)
 
 
 COMPLETE = points("COCO_17")
@@ -326,10 +325,8 @@ COMPLETE = points("COCO_17")
     ],
 )
 def test_bad_files_are_refused_with_file_and_place(tmp_path, files, model, says):
-    with pytest.raises(InputError) as caught:
-        read_keypoints(write(tmp_path, files), model)
-    message = str(caught.value)
-    assert says in message and "\n" not in message and message.startswith(str(tmp_path))
+    message = complaint(read_keypoints, write(tmp_path, files), model)
+    assert says in message and message.startswith(str(tmp_path))
 
 
 @pytest.mark.parametrize("content", [b"", b'{"people": [', b"\xff\xfe\x00", b"[" * 100_000])
@@ -337,16 +334,14 @@ def test_what_is_no_json_is_refused(tmp_path, content):
     (tmp_path / "0.json").write_bytes(content)
     with pytest.raises(InputError, match=r"0\.json: .*JSON"):
         read_keypoints(tmp_path)
-    with pytest.raises(InputError, match="no such file"):
-        read_keypoints(tmp_path / "none")
+    assert "no such file" in complaint(read_keypoints, tmp_path / "none")
 
 
 def test_detections_in_memory_are_checked_as_well():
     pixels, confidences = np.zeros((2, 1, 3, 2)), np.ones((2, 1, 3))
     names = ("wrist_l", "wrist_r", "vertex")
     assert Detections(np.array([4, 5]), names, pixels, confidences).name == "key points in memory"
-    with pytest.raises(InputError, match="do not ascend"):
-        Detections(np.array([5, 5]), names, pixels, confidences)
+    assert "do not ascend" in complaint(Detections, np.array([5, 5]), names, pixels, confidences)
     with pytest.raises(InputError, match="2 frames and 2 landmarks"):
         Detections(np.array([4, 5]), names[:2], pixels, confidences)
     with pytest.raises(InputError, match="for 2 frames"):
@@ -398,9 +393,7 @@ def test_the_first_frames_number_follows_the_rule_or_is_stated(numbers, frames, 
     ],
 )
 def test_numbers_that_do_not_tell_the_first_frame_are_refused(numbers, stated, says):
-    with pytest.raises(InputError) as caught:
-        align_detections(detections(numbers), 6, stated)
-    assert says in str(caught.value)
+    assert says in complaint(align_detections, detections(numbers), 6, stated)
 
 
 def test_a_recordings_video_opens_its_key_points(tmp_path):

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import double
+from conftest import complaint, double
 from scipy.optimize import approx_fprime
 
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS
@@ -27,7 +27,6 @@ from jaxmocap.calibration.fitting.camera_plan.placement import (
 )
 from jaxmocap.cli.program import main
 from jaxmocap.cli.setup import plan
-from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.cameras import Camera, camera_of_fov
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.planning.requirements import Requirements
@@ -218,8 +217,7 @@ def test_the_command_names_all_movements():
 def test_pairs_of_joints_have_a_plural():
     required = replace(Requirements(), joints=("knees", "toe_l", "vertex"))
     assert required.landmarks() == ("knee_l", "knee_r", "toe_l", "vertex")
-    with pytest.raises(InputError, match="'spleens'"):
-        replace(Requirements(), joints=("spleens",)).landmarks()
+    assert "'spleens'" in complaint(replace(Requirements(), joints=("spleens",)).landmarks)
 
 
 def test_a_zoom_lens_is_the_wider_one_with_room_to_zoom():
