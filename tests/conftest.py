@@ -35,6 +35,7 @@ from hypothesis.extra.numpy import arrays
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.cli.program import main
 from jaxmocap.compilation.programs import EFFORTS
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -118,6 +119,24 @@ def problem_of(read, path: Path, *arguments) -> str:
     text = complaint(read, path, *arguments)
     assert text.startswith(f"{path}: ")
     return text.removeprefix(f"{path}: ")
+
+
+@pytest.fixture
+def refusal(capsys):
+    """What a command line is refused with: exit code 2, one line on stderr and nothing else."""
+
+    def refused(*arguments: object) -> str:
+        capsys.readouterr()
+        try:
+            code = main([str(each) for each in arguments])
+        except SystemExit as end:
+            code = end.code
+        printed = capsys.readouterr()
+        assert code == 2 and printed.out == "" and printed.err.count("\n") == 1
+        assert printed.err.startswith("jaxmocap") and "Traceback" not in printed.err
+        return printed.err
+
+    return refused
 
 
 @contextmanager

@@ -116,8 +116,7 @@ def test_both_poses_of_a_board_before_a_fisheye_explain_its_picture():
         np.testing.assert_allclose(best.matrix, T, atol=1e-5)
 
 
-def test_a_fisheye_has_no_fifth_coefficient(tmp_path, capsys):
+def test_a_fisheye_has_no_fifth_coefficient(tmp_path, refusal):
     given = ["calibrate", "intrinsics", "board.jpg", *BOARD_OPTIONS, "--fisheye"]
-    out = ["--out", str(tmp_path / "c.toml")]
-    assert main([*given, "--distortions", "5", *out]) == 2
-    assert "found 5, expected at most 4 of a fisheye" in capsys.readouterr().err
+    message = refusal(*given, "--distortions", 5, "--out", tmp_path / "c.toml")
+    assert "found 5, expected at most 4 of a fisheye" in message

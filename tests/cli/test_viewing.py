@@ -17,7 +17,6 @@ import rerun.blueprint as rrb
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import Tree
-from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.outputs import live_view
 from jaxmocap.outputs.layout import SERIES, lay_out
@@ -117,14 +116,13 @@ def test_the_page_has_the_recording_and_nothing_else(folder):
 
 
 @pytest.mark.parametrize("content", [b"", b"no recording" * 300])
-def test_a_file_that_is_no_recording_is_refused(tmp_path, capsys, content):
+def test_a_file_that_is_no_recording_is_refused(tmp_path, refusal, content):
     pytest.importorskip(
         "rerun.chunk",
         reason="the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can",
     )
     (tmp_path / "recording.rrd").write_bytes(content)
-    assert main(["view", str(tmp_path), "--web", "--port", str(free_port())]) == 2
-    (sentence,) = capsys.readouterr().err.splitlines()
+    sentence = refusal("view", tmp_path, "--web", "--port", free_port())
     assert "recording.rrd: expected a recording of rerun, found none" in sentence
 
 
@@ -188,12 +186,11 @@ def test_a_closed_terminal_ends_the_command_and_its_server(folder):
     assert not any(map(answers, ports))
 
 
-def test_a_second_viewer_on_a_port_that_is_taken_names_the_option(folder, capsys):
+def test_a_second_viewer_on_a_port_that_is_taken_names_the_option(folder, refusal):
     first = serve_page(folder / "recording.rrd", free_port())
     try:
         port = int(re.findall(r":(\d+)/", str(first.page))[0])
-        assert main(["view", str(folder), "--web", "--port", str(port)]) == 2
-        (sentence,) = capsys.readouterr().err.splitlines()
+        sentence = refusal("view", folder, "--web", "--port", port)
         assert f"port {port}: is taken" in sentence and "--port" in sentence
         assert first.is_open
     finally:

@@ -258,13 +258,6 @@ def test_the_command_converts_and_says_what_it_left_out(recordings, tmp_path, ca
     np.testing.assert_allclose(back.positions, there.positions, atol=1e-6)
 
 
-def test_the_command_refuses_in_one_sentence_with_exit_code_2(folder, capsys):
-    assert main(["convert", str(folder / "motion.npz"), str(folder / "a.xyz")]) == 2
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1 and "unknown suffix '.xyz'" in message
-    with pytest.raises(SystemExit) as left:
-        main(["convert", "a.npz", "b.bvh", "--unit", "ell"])
-    assert left.value.code == 2
-    with pytest.raises(SystemExit):
-        main(["convert", "--help"])
-    assert "example: jaxmocap convert" in capsys.readouterr().out
+def test_the_command_refuses_in_one_sentence_with_exit_code_2(folder, refusal):
+    assert "unknown suffix '.xyz'" in refusal("convert", folder / "motion.npz", folder / "a.xyz")
+    assert "'ell'" in refusal("convert", "a.npz", "b.bvh", "--unit", "ell")

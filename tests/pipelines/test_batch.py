@@ -189,14 +189,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
     }
 
 
-def refused(arguments: list[str], capsys) -> str:
-    """The one sentence with which a command ends that was given bad input."""
-    assert main(arguments) == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    return line
-
-
-def test_a_batch_into_its_own_inputs_is_refused_and_nothing_is_lost(recording, tmp_path, capsys):
+def test_a_batch_into_its_own_inputs_is_refused_and_nothing_is_lost(recording, tmp_path, refusal):
     corpus_folder = tmp_path / "corpus"
     shutil.copytree(recording, corpus_folder / "walk")
     (corpus_folder / "walk.toml").write_text(
@@ -205,7 +198,7 @@ def test_a_batch_into_its_own_inputs_is_refused_and_nothing_is_lost(recording, t
     (corpus_folder / "walk" / "recording.toml").unlink()
     before = files_of(tmp_path)
     for out in (corpus_folder, tmp_path, corpus_folder / "walk"):
-        stderr = refused(["batch", str(corpus_folder), "--out", str(out)], capsys)
+        stderr = refusal("batch", corpus_folder, "--out", out)
         assert "which is read; expected a folder of its own" in stderr
     assert files_of(tmp_path) == before
 
@@ -214,12 +207,12 @@ def test_a_batch_into_its_own_inputs_is_refused_and_nothing_is_lost(recording, t
     "names",
     [("walk.toml", "walk/run.toml"), ("Walk.toml", "walk.toml"), ("corpus.csv.toml",)],
 )
-def test_recordings_whose_outputs_would_lie_in_one_another_are_refused(names, tmp_path, capsys):
+def test_recordings_whose_outputs_would_lie_in_one_another_are_refused(names, tmp_path, refusal):
     for name in names:
         path = tmp_path / "corpus" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("[markers]")
-    stderr = refused(["batch", str(tmp_path / "corpus"), "--out", str(tmp_path / "out")], capsys)
+    stderr = refusal("batch", tmp_path / "corpus", "--out", tmp_path / "out")
     assert "would lie within one another" in stderr and names[0] in stderr
     assert not (tmp_path / "out").exists()
 
