@@ -1,11 +1,11 @@
 """Markers that come in live: packets of every kind, clocks, samples, queues."""
 
 import socket
-import time
 from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
+from conftest import wait_for
 from hypothesis import given
 from hypothesis import strategies as st
 from pythonosc.osc_bundle_builder import OscBundleBuilder
@@ -393,8 +393,8 @@ def test_frames_wait_and_are_replaced_while_they_are_not_asked_for():
 
 
 @contextmanager
-def listening(give):
-    gathers = SampleAssembler(MARKERS, {}, R_WORLD_UNITY, give)
+def listening(give, markers=MARKERS, aliases=None):
+    gathers = SampleAssembler(markers, aliases or {}, R_WORLD_UNITY, give)
     marker_socket = MarkerSocket(OscTable(Address(port=0)), gathers)
     marker_socket.start()
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -403,13 +403,6 @@ def listening(give):
     finally:
         sender.close()
         marker_socket.stop()
-
-
-def wait_for(condition, seconds: float = 5.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.005)
-    assert condition()
 
 
 def test_a_socket_counts_what_it_ignores_and_takes_the_rest():

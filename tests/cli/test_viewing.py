@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import rerun as rr
 import rerun.blueprint as rrb
+from conftest import wait_for
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import Tree
@@ -102,9 +103,7 @@ def test_the_page_has_the_recording_and_nothing_else(folder):
     served, copied = serve_page(folder / "recording.rrd", free_port()), folder / "copied.rrd"
     reader = subprocess.Popen([*view.viewer_command(), "--save", copied, served.url])
     try:
-        end = time.monotonic() + 60
-        while not (copied.is_file() and copied.stat().st_size) and time.monotonic() < end:
-            time.sleep(0.1)
+        wait_for(lambda: copied.is_file() and copied.stat().st_size, 60.0)
         time.sleep(1.0)
     finally:
         for process in (reader, served.process):
@@ -222,9 +221,7 @@ def test_a_live_view_shows_the_newest_pose_and_image_and_keeps_up(tmp_path, monk
     for i, image in enumerate(images):
         view.show(LiveSnapshot(i / 100, pose, np.array([0.2, 0.9]), 5.0, {"cam": image}))
         view.show(LiveSnapshot(i / 100 + 0.005, pose, np.array([0.2, 0.9]), 5.0, {}))
-    end = time.monotonic() + 20
-    while (not sent or sent[-1].time < 0.995) and time.monotonic() < end:
-        time.sleep(0.01)
+    wait_for(lambda: sent and sent[-1].time >= 0.995, 20.0)
     view.close()
     # What is not shown in time is passed over, but an image waits for the next pose.
     assert len(sent) < 100 and sent[-1].time == 0.995

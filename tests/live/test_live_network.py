@@ -4,8 +4,8 @@ from io import StringIO
 
 import numpy as np
 import pytest
-from conftest import complaint
-from test_live_markers import MARKERS, bundle, device, gathering, listening, packet, wait_for
+from conftest import complaint, wait_for
+from test_live_markers import MARKERS, bundle, device, gathering, listening, packet
 
 from jaxmocap.capture.streams.senders import (
     MAX_REFUSED_NAMED,
@@ -40,6 +40,10 @@ class Line:
         self.at = packets[-1].arrived
         self.socket.take(packets)
 
+    def report_to(self, status: LiveStatus) -> None:
+        for of, state in stream_states(self.socket, self.gathers, [], self.at):
+            status.set_state(self.at, of, state)
+
 
 @pytest.fixture
 def line():
@@ -55,8 +59,7 @@ def test_two_senders_with_two_clocks_are_no_clock_that_jumps(line):
     for i in range(900):
         at = i / 90
         line.bring(packet(0.0, 5000, at=at, stamp=at + 1000), packet(0.0, 5001, at=at, stamp=at))
-        for of, state in stream_states(line.socket, line.gathers, [], at):
-            status.set_state(at, of, state)
+        line.report_to(status)
     assert line.socket.clock_jumps == 0
     assert line.socket.packets_by_sender() == {"127.0.0.1:5000": 900, "127.0.0.1:5001": 900}
     assert not [each for each in status.messages if "clock" in each.what]
@@ -79,8 +82,7 @@ def test_a_clock_that_is_set_at_every_packet_is_reported_at_every_tenfold(line):
     for i in range(20_000):
         at = i / 1000
         line.bring(packet(0.0, at=at, stamp=float(i % 7) * 100))
-        for of, state in stream_states(line.socket, line.gathers, [], at):
-            status.set_state(at, of, state)
+        line.report_to(status)
     assert line.socket.clock_jumps > 10_000
     lines = [each.what for each in status.messages if "clock" in each.what]
     assert lines == [
@@ -136,9 +138,7 @@ def test_where_others_can_send_it_must_be_stated_who_may(tmp_path, listen):
 def test_senders_that_are_no_addresses_are_refused(tmp_path, stated):
     path = tmp_path / "live.toml"
     path.write_text(f"{LIVE}[osc]\nfrom = {stated.replace(chr(39), chr(34))}")
-    with pytest.raises(InputError, match="from: found") as refused:
-        load_live(path)
-    assert str(refused.value).isprintable()
+    assert "from: found" in complaint(load_live, path)
 
 
 def test_packets_of_this_machine_come_in_over_a_real_socket():

@@ -19,7 +19,6 @@ from jaxmocap.outputs.senders.osc import Bundle
 from jaxmocap.outputs.senders.unity import to_unity
 from jaxmocap.pipelines.live.loop import MIN_SAMPLES, Live, ReachState
 from jaxmocap.pipelines.live.status import LiveStatus
-from jaxmocap.pipelines.live.stream_states import stream_states
 
 FOUND_WITHIN_S = (RATE_WINDOWS + 0.5) * RATE_WINDOW_S
 ARRIVALS = np.arange(0, 30, 1 / 90)
@@ -79,8 +78,7 @@ def test_a_fast_clock_is_reported_once_and_in_one_sentence():
     line, status = Line(), LiveStatus(StringIO())
     for at in ARRIVALS:
         line.bring(packet(0.0, at=at, stamp=10 * at), packet(0.0, 5001, at=at, stamp=at))
-        for of, state in stream_states(line.socket, line.gathers, [], at):
-            status.set_state(at, of, state)
+        line.report_to(status)
     lines = [each for each in status.messages if "clock" in each.what]
     assert [each.what for each in lines] == [
         "the sender's clock: runs 10 times as fast as this machine's; its stamps are not used"
