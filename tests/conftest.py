@@ -50,9 +50,9 @@ EFFORTS["full"] = {"xla_backend_optimization_level": 1}
 # its time.
 gc.set_threshold(200_000, 20, 100)
 # A tmp_path that examples share is fine: each of them overwrites what it reads.
-shared = [HealthCheck.function_scoped_fixture]
+PASSED_OVER = [HealthCheck.function_scoped_fixture]
 settings.register_profile(
-    "tests", deadline=None, max_examples=25, derandomize=True, suppress_health_check=shared
+    "tests", deadline=None, max_examples=25, derandomize=True, suppress_health_check=PASSED_OVER
 )
 settings.load_profile("tests")
 
@@ -180,6 +180,12 @@ def wait_for(condition, seconds: float = 5.0) -> None:
     assert condition()
 
 
+def rerun_chunks():
+    """What reads rerun's recordings back."""
+    why = "the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can"
+    return pytest.importorskip("rerun.chunk", reason=why)
+
+
 @contextmanager
 def disk_full_at(size: int):
     """No file may grow beyond so many bytes, which a program sees as it sees a full disk."""
@@ -252,6 +258,14 @@ def skeleton64() -> Skeleton:
 def plain_skeleton(skeleton64) -> Skeleton:
     """The same in NumPy: the reference takes one number at a time, at which that is faster."""
     return jax.tree.map(np.asarray, skeleton64)
+
+
+@pytest.fixture(scope="module")
+def mujoco_body(skeleton64):
+    """The same in MuJoCo."""
+    from mujoco_body import MujocoBody
+
+    return MujocoBody(skeleton64)
 
 
 @pytest.fixture(scope="session")

@@ -26,7 +26,6 @@ from jaxmocap.capture.streams.senders import SENDER_BURST
 from jaxmocap.capture.streams.stream_clock import JUMP_S, StreamClock
 from jaxmocap.capture.streams.udp import MAX_BURST, Datagram, MarkerSocket, OscTable
 from jaxmocap.formats.files.addresses import Address
-from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
 
 MARKERS = ("Hmd", "LeftController", "RightController")
@@ -418,6 +417,8 @@ def test_a_socket_counts_what_it_ignores_and_takes_the_rest():
             send(datagram)
         wait_for(lambda: out)
         assert marker_socket.packets == 4 and marker_socket.last_arrival is not None
+        ((name, count),) = marker_socket.packets_by_sender().items()
+        assert name.startswith("127.0.0.1:") and count == 4
         assert dict(marker_socket.ignored) == {
             "malformed": 1,
             "absurd": 1,
@@ -443,10 +444,3 @@ def test_of_a_flood_the_newest_are_read():
     assert len(out) == SENDER_BURST
     assert marker_socket.ignored["flood"] == 2 * MAX_BURST - SENDER_BURST
     assert out[-1].positions_world[0, 0] == pytest.approx((2 * MAX_BURST - 1) / 100)
-
-
-def test_an_address_that_is_taken_is_said():
-    with listening(lambda sample: None) as (marker_socket, _):
-        gathers, _ = gathering()
-        with pytest.raises(InputError, match="cannot listen there"):
-            MarkerSocket(OscTable(marker_socket.address), gathers)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import rerun as rr
 import rerun.blueprint as rrb
-from conftest import wait_for
+from conftest import rerun_chunks, wait_for
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import Tree
@@ -96,10 +96,7 @@ def test_the_page_is_served_to_this_machine_and_its_data_beside_it(folder):
 
 
 def test_the_page_has_the_recording_and_nothing_else(folder):
-    chunks = pytest.importorskip(
-        "rerun.chunk",
-        reason="the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can",
-    )
+    chunks = rerun_chunks()
     served, copied = serve_page(folder / "recording.rrd", free_port()), folder / "copied.rrd"
     reader = subprocess.Popen([*view.viewer_command(), "--save", copied, served.url])
     try:
@@ -116,10 +113,7 @@ def test_the_page_has_the_recording_and_nothing_else(folder):
 
 @pytest.mark.parametrize("content", [b"", b"no recording" * 300])
 def test_a_file_that_is_no_recording_is_refused(tmp_path, refusal, content):
-    pytest.importorskip(
-        "rerun.chunk",
-        reason="the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can",
-    )
+    rerun_chunks()
     (tmp_path / "recording.rrd").write_bytes(content)
     sentence = refusal("view", tmp_path, "--web", "--port", free_port())
     assert "recording.rrd: expected a recording of rerun, found none" in sentence
@@ -204,10 +198,7 @@ def test_a_viewer_that_ends_at_once_is_an_error_that_names_the_option(folder, mo
 
 
 def test_a_live_view_shows_the_newest_pose_and_image_and_keeps_up(tmp_path, monkeypatch):
-    chunks = pytest.importorskip(
-        "rerun.chunk",
-        reason="the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can",
-    )
+    chunks = rerun_chunks()
     path = tmp_path / "live.rrd"
     monkeypatch.setattr(rr.RecordingStream, "connect_grpc", lambda self, url: self.save(path))
     skeleton = Skeleton.human(1.75)

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from jaxmocap.cli.program import main
-from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series import c3d
 from jaxmocap.formats.time_series.c3d import read_c3d, write_c3d
 from jaxmocap.formats.time_series.csv import write_csv
@@ -145,13 +144,6 @@ def test_a_real_serve_is_read_and_written(recordings, tmp_path):
     again = read_c3d(tmp_path / "again.c3d")
     np.testing.assert_allclose(again.positions, serve.positions, atol=1e-6)
     np.testing.assert_allclose(again.residuals, serve.residuals, atol=1e-9)
-
-
-def test_a_recording_may_name_a_c3d_file(recordings, tmp_path):
-    serve = (recordings / "motions" / "tennis_serve.c3d").as_posix()
-    text = f'[markers]\nfile = "{serve}"\n[markers.on]\nLFHD = {{ bone = "head" }}\n'
-    (tmp_path / "recording.toml").write_text(text)
-    assert load_recording(tmp_path / "recording.toml").positions_world.shape == (1092, 1, 3)
 
 
 def test_a_file_without_a_rate_is_refused_in_these_words(tmp_path):

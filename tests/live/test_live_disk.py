@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import complaint, disk_full_at
-from small_recording import HEIGHT, PLACES, small_recording, standing, write_small_recording
+from small_recording import HEIGHT, PLACES, standing, write_small_recording
 
 from jaxmocap import Recording
 from jaxmocap.capture.streams.inbox import LiveFrame
@@ -313,12 +313,3 @@ def test_a_camera_whose_name_is_no_files_is_refused_before_anything_is_opened(tm
     calibration = tmp_path / "calibration.toml"
     calibration.write_text(calibration.read_text().replace("[cam]", f"[{toml_value(name)}]"))
     complaint(load_live, path)
-
-
-def test_what_small_recordings_hold_is_recorded_to_the_micrometre(tmp_path):
-    recording = small_recording()
-    written = LiveRecording(live_setup(tmp_path), tmp_path / "out")
-    for at, points in zip(recording.times, recording.positions_world, strict=True):
-        written.add(MarkerSample(at, points, at))
-    again = Recording.load(str(written.close()))
-    np.testing.assert_allclose(again.positions_world, recording.positions_world, atol=1e-6)

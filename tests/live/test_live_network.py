@@ -5,7 +5,7 @@ from io import StringIO
 import numpy as np
 import pytest
 from conftest import complaint, wait_for
-from test_live_markers import MARKERS, bundle, device, gathering, listening, packet
+from test_live_markers import gathering, listening, packet
 
 from jaxmocap.capture.streams.senders import (
     MAX_REFUSED_NAMED,
@@ -141,15 +141,6 @@ def test_senders_that_are_no_addresses_are_refused(tmp_path, stated):
     assert "from: found" in complaint(load_live, path)
 
 
-def test_packets_of_this_machine_come_in_over_a_real_socket():
-    out = []
-    with listening(out.append) as (marker_socket, send):
-        send(bundle(*(device("Tra", name, 0, 1, 0) for name in MARKERS)))
-        wait_for(lambda: out)
-        ((name, count),) = marker_socket.packets_by_sender().items()
-    assert name.startswith("127.0.0.1:") and count == 1
-
-
 # Addresses ---------------------------------------------------------------------------------------
 
 
@@ -259,8 +250,7 @@ def test_names_that_come_in_are_no_commands_to_a_terminal(line):
     status = LiveStatus(output)
     for name in ("\x1b[2J\x1b]0;owned\x07", "a\nb", "\u202egnp.exe"):
         line.gathers.unknown_names.add(name)
-    for of, state in stream_states(line.socket, line.gathers, [], 0.0):
-        status.set_state(0.0, of, state)
+    line.report_to(status)
     status.log(0.0, "\x1b[2J" + "x" * 10_000)
     status.update_line(0.0, {"\x1b[2Jcam": 0.1}, {}, np.zeros(2))
     text = output.getvalue()

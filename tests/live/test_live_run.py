@@ -206,10 +206,6 @@ def test_orientations_of_either_source_are_recorded(tmp_path, source):
     np.testing.assert_allclose(moved, np.tile([0.1, 0, 0], (len(moved), 1)), atol=1e-5)
 
 
-def test_a_run_without_a_sample_leaves_no_recording_to_track(tmp_path):
-    assert LiveRecording(small_setup(tmp_path), tmp_path / "out").close() is None
-
-
 # Cameras -----------------------------------------------------------------------------------------
 
 

@@ -10,7 +10,7 @@ import av
 import cv2
 import numpy as np
 import pytest
-from conftest import complaint
+from conftest import complaint, rerun_chunks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -309,10 +309,7 @@ def test_a_solid_is_closed_and_its_faces_look_outwards(direction, length, near, 
 
 def read_recording(path) -> tuple[dict[str, list], dict[str, list]]:
     """Entity -> record batches with time, and entity -> static ones."""
-    chunks = pytest.importorskip(
-        "rerun.chunk",
-        reason="the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can",
-    )
+    chunks = rerun_chunks()
     reader = chunks.RrdReader(path)
     assert len(reader.recordings()) == 1 and len(reader.blueprints()) == 1
     timed, static = {}, {}
