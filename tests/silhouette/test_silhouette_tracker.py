@@ -229,9 +229,7 @@ def test_a_room_is_learned_from_first_frames_but_about_the_person_and_there_once
     assert (room.certainty == 1).all()
 
 
-def test_a_start_needs_markers_or_a_place(tmp_path, refusal):
-    given = ["silhouette", "track", "r.toml", "--out", tmp_path, "--at", "-1,2"]
-    assert "expected X,Y,FACING" in refusal(*given)
+def test_a_start_needs_markers_or_a_place():
     empty = Recording(Skeleton.human(1.75), np.zeros(0), np.zeros((0, 0, 3)), ())
     assert "expected --at X,Y,FACING" in complaint(start_pose, empty)
     assert np.asarray(start_pose(empty, (1.0, 2.0, 0.0)).position)[0] == pytest.approx(1.0)
