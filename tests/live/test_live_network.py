@@ -1,6 +1,7 @@
 """Who may send to a live run, how much, and by which clock; and what of it is reported and kept."""
 
 from io import StringIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +24,12 @@ from jaxmocap.pipelines.live.setup import load_live
 from jaxmocap.pipelines.live.status import FIRST_KEPT, NEWEST_KEPT, LiveStatus
 from jaxmocap.pipelines.live.stream_states import SILENT_S, stream_states
 
-LIVE = "[markers.on]\nHmd = { bone = 'head' }\n"
+
+def live_file(folder: Path, more: str) -> Path:
+    """A live run of the headset's marker, with more in its file."""
+    path = folder / "live.toml"
+    path.write_text(f"[markers.on]\nHmd = {{ bone = 'head' }}\n{more}")
+    return path
 
 
 class Line:
@@ -109,9 +115,8 @@ def test_strangers_are_counted_named_and_otherwise_ignored(line):
 
 
 def test_the_hosts_and_networks_that_may_send_are_stated(tmp_path):
-    path = tmp_path / "live.toml"
-    path.write_text(LIVE + "[osc]\nlisten = '0.0.0.0:5000'\nfrom = ['10.0.0.7', '192.168.1.0/24']")
-    line = Line(load_live(path).source.allowed)
+    stated = "[osc]\nlisten = '0.0.0.0:5000'\nfrom = ['10.0.0.7', '192.168.1.0/24']"
+    line = Line(load_live(live_file(tmp_path, stated)).source.allowed)
     hosts = ("10.0.0.7", "::ffff:10.0.0.7", "192.168.1.99", "10.0.0.8", "127.0.0.1", "::1", "who")
     line.bring(*(packet(0.0, host=host) for host in hosts))
     assert len(line.samples) == 3 and line.socket.ignored["stranger"] == 4
@@ -119,15 +124,13 @@ def test_the_hosts_and_networks_that_may_send_are_stated(tmp_path):
 
 @pytest.mark.parametrize("listen", ["127.0.0.1:5000", "[::1]:5000", "localhost:5000", "5000", ""])
 def test_where_this_machine_alone_can_send_nobody_needs_to_be_stated(tmp_path, listen):
-    path = tmp_path / "live.toml"
-    path.write_text(LIVE + (f"[osc]\nlisten = '{listen}'" if listen else ""))
+    path = live_file(tmp_path, f"[osc]\nlisten = '{listen}'" if listen else "")
     assert load_live(path).source.allowed == LOOPBACK
 
 
 @pytest.mark.parametrize("listen", ["0.0.0.0:5000", "[::]:5000", "192.168.1.2:5000", "studio:5000"])
 def test_where_others_can_send_it_must_be_stated_who_may(tmp_path, listen):
-    path = tmp_path / "live.toml"
-    path.write_text(f"{LIVE}[osc]\nlisten = '{listen}'")
+    path = live_file(tmp_path, f"[osc]\nlisten = '{listen}'")
     with pytest.raises(InputError, match=r"'from' is missing.*\['192\.168\.1\.20'\]"):
         load_live(path)
 
@@ -136,8 +139,7 @@ def test_where_others_can_send_it_must_be_stated_who_may(tmp_path, listen):
     "stated", ["'127.0.0.1'", "[]", "['studio']", "[5]", "['10.0.0.1/99']", "['\\u001b[2J']"]
 )
 def test_senders_that_are_no_addresses_are_refused(tmp_path, stated):
-    path = tmp_path / "live.toml"
-    path.write_text(f"{LIVE}[osc]\nfrom = {stated.replace(chr(39), chr(34))}")
+    path = live_file(tmp_path, f"[osc]\nfrom = {stated.replace(chr(39), chr(34))}")
     assert "from: found" in complaint(load_live, path)
 
 
@@ -154,8 +156,7 @@ def test_senders_that_are_no_addresses_are_refused(tmp_path, stated):
 )
 @pytest.mark.parametrize("table", ["osc]\nlisten", "vmc]\nsend", "vrchat]\nsend"])
 def test_what_is_no_port_is_refused_in_one_sentence(tmp_path, table, port):
-    path = tmp_path / "live.toml"
-    path.write_text(f"{LIVE}[{table} = {port.replace(chr(39), chr(34))}\n")
+    path = live_file(tmp_path, f"[{table} = {port.replace(chr(39), chr(34))}\n")
     assert "found" in complaint(load_live, path)
 
 
