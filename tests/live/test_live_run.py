@@ -99,6 +99,13 @@ def small_setup(folder: Path, vmc: Address = DEFAULT_SEND) -> LiveSetup:
     )
 
 
+def packets_of(names):
+    """Places (M, 3) in the world -> the packet that brings the markers there, unturned."""
+    bundle = Bundle([("/VMC/Ext/Tra/Pos", [name, *[0.0] * 7]) for name in names])
+    turns = np.tile([0.0, 0, 0, 1], (len(names), 1))
+    return lambda points: bundle.filled(np.hstack([to_unity(points), turns]))
+
+
 # The file ----------------------------------------------------------------------------------------
 
 
@@ -298,9 +305,7 @@ def test_markers_in_poses_out_and_a_recording_until_ctrl_c(tmp_path, monkeypatch
     status = LiveStatus(output)
     live = Live(setup, out=tmp_path / "out", status=status)
     recording = small_recording()
-    names = recording.marker_names
-    bundle = Bundle([("/VMC/Ext/Tra/Pos", [name, *[0.0] * 7]) for name in names])
-    turns = np.tile([0.0, 0, 0, 1], (len(names), 1))
+    packet_of = packets_of(recording.marker_names)
 
     def play() -> None:
         sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -308,9 +313,7 @@ def test_markers_in_poses_out_and_a_recording_until_ctrl_c(tmp_path, monkeypatch
         for _ in range(2):
             for points in recording.positions_world:
                 sender.sendto(b"garbage", tuple(live.address))
-                sender.sendto(
-                    bundle.filled(np.hstack([to_unity(points), turns])), tuple(live.address)
-                )
+                sender.sendto(packet_of(points), tuple(live.address))
                 time.sleep(1 / 60)
             # One hand's place is absurd from then on; at the end nothing comes.
             recording.positions_world[:, 1] = 1e6
