@@ -3,6 +3,8 @@
 import ctypes
 import gc
 import os
+import subprocess
+import sys
 import time
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
@@ -29,12 +31,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.cli.program import main
 from jaxmocap.compilation.programs import EFFORTS
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -46,7 +49,11 @@ EFFORTS["full"] = {"xla_backend_optimization_level": 1}
 # Tracing makes many objects that stay: to go through all of them again and again takes a tenth of
 # its time.
 gc.set_threshold(200_000, 20, 100)
-settings.register_profile("tests", deadline=None, max_examples=25, derandomize=True)
+# A tmp_path that examples share is fine: each of them overwrites what it reads.
+PASSED_OVER = [HealthCheck.function_scoped_fixture]
+settings.register_profile(
+    "tests", deadline=None, max_examples=25, derandomize=True, suppress_health_check=PASSED_OVER
+)
 settings.load_profile("tests")
 
 # How far float32 may lie from the same in double precision: the absolute error allowed.
@@ -113,11 +120,70 @@ def complaint(read, *arguments, **options) -> str:
     return text
 
 
-def problem_of(read, path: Path) -> str:
+def problem_of(read, path: Path, *arguments) -> str:
     """What a file is refused with, behind its name."""
-    text = complaint(read, path)
+    text = complaint(read, path, *arguments)
     assert text.startswith(f"{path}: ")
     return text.removeprefix(f"{path}: ")
+
+
+MEASURED = """
+import resource, sys
+from pathlib import Path
+from jaxmocap.formats.files.errors import InputError
+from {module} import {name}
+path, before = Path(sys.argv[1]), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    {name}({arguments})
+except InputError as error:
+    print(error)
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
+"""
+
+
+def measured_complaint(read, path: Path, arguments: str = "path") -> tuple[str, int]:
+    """What a process of its own refuses a file with, and by how many MB that made it grow."""
+    pytest.importorskip("resource", reason="this system has no limits of file sizes")
+    named = {"module": read.__module__, "name": read.__name__, "arguments": arguments}
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURED.format(**named), str(path)],
+        capture_output=True, text=True, timeout=HANG_S, check=True,
+    )  # fmt: skip
+    message, size = done.stdout.splitlines()
+    assert done.stderr == ""
+    return message, int(size)
+
+
+@pytest.fixture
+def refusal(capsys):
+    """What a command line is refused with: exit code 2, one line on stderr and nothing else."""
+
+    def refused(*arguments: object) -> str:
+        capsys.readouterr()
+        try:
+            code = main([str(each) for each in arguments])
+        except SystemExit as end:
+            code = end.code
+        printed = capsys.readouterr()
+        assert code == 2 and printed.out == "" and printed.err.count("\n") == 1
+        assert printed.err.startswith("jaxmocap") and "Traceback" not in printed.err
+        return printed.err
+
+    return refused
+
+
+def wait_for(condition, seconds: float = 5.0) -> None:
+    """Until something is so, and no longer than so many seconds."""
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.005)
+    assert condition()
+
+
+def rerun_chunks():
+    """What reads rerun's recordings back."""
+    why = "the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can"
+    return pytest.importorskip("rerun.chunk", reason=why)
 
 
 @contextmanager
@@ -192,6 +258,14 @@ def skeleton64() -> Skeleton:
 def plain_skeleton(skeleton64) -> Skeleton:
     """The same in NumPy: the reference takes one number at a time, at which that is faster."""
     return jax.tree.map(np.asarray, skeleton64)
+
+
+@pytest.fixture(scope="module")
+def mujoco_body(skeleton64):
+    """The same in MuJoCo."""
+    from mujoco_body import MujocoBody
+
+    return MujocoBody(skeleton64)
 
 
 @pytest.fixture(scope="session")

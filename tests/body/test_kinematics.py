@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from conftest import FLOAT32_TOLERANCES, double, on_device, poses, vectors
 from hypothesis import given
-from mujoco_body import MujocoBody
 
 from jaxmocap.body import kinematics
 from jaxmocap.body.pose import Pose, pack, relaxed_pose, retract, unpack
@@ -37,11 +36,6 @@ def jacobian_of(skeleton, pose):
     frames = kinematics.forward(skeleton, pose)
     points = kinematics.site_positions(skeleton, frames, device_sites())
     return kinematics.jacobian(skeleton, frames, SITES.bones, points)
-
-
-@pytest.fixture(scope="module")
-def mujoco_body(skeleton64):
-    return MujocoBody(skeleton64)
 
 
 @given(pose=poses(beyond=2.0))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from conftest import FLOAT32_TOLERANCES, double, on_device, poses
 from hypothesis import given
-from mujoco_body import MujocoBody
 
 from jaxmocap.body import mass
 from jaxmocap.body.kinematics import forward
@@ -26,11 +25,6 @@ def weighed(skeleton, pose):
         mass.augmented_bodies(skeleton, frames),
         mass.augmented_bodies(skeleton, frames, proximal=True),
     )
-
-
-@pytest.fixture(scope="module")
-def mujoco_body(skeleton64):
-    return MujocoBody(skeleton64)
 
 
 @given(pose=poses(beyond=2.0))

@@ -110,10 +110,7 @@ def test_the_command_writes_the_other_persons_motion(tmp_path, capsys):
         ("", "found no subject.toml, expected what 'silhouette model' writes"),
     ],
 )
-def test_who_is_not_there_is_said_in_one_sentence(tmp_path, capsys, onto, problem):
+def test_who_is_not_there_is_said_in_one_sentence(tmp_path, refusal, onto, problem):
     save_motion(tmp_path / "motion.npz", on_one_foot())
-    asked = ["retarget", str(tmp_path), "--onto", str(tmp_path / onto), "--out"]
-    asked.append(str(tmp_path / "out"))
-    assert main(asked) == 2
-    message = capsys.readouterr().err
-    assert problem in message and message.count("\n") == 1
+    out = "--out", tmp_path / "out"
+    assert problem in refusal("retarget", tmp_path, "--onto", tmp_path / onto, *out)

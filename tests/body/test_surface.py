@@ -4,7 +4,7 @@ import cv2
 import jax
 import numpy as np
 import pytest
-from conftest import RECORDINGS
+from conftest import RECORDINGS, complaint
 
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
@@ -199,8 +199,7 @@ def test_bad_surface_files_are_refused_in_one_sentence(surface, tmp_path, change
     np.savez(tmp_path / "bad.npz", **{k: v for k, v in arrays.items() if v is not None})
     with pytest.raises(InputError, match=message):
         load_surface(tmp_path / "bad.npz", TALL.tree)
-    with pytest.raises(InputError, match="no such file"):
-        load_surface(tmp_path / "none.npz", TALL.tree)
+    assert "no such file" in complaint(load_surface, tmp_path / "none.npz", TALL.tree)
 
 
 @pytest.mark.parametrize("who", ["man", "short_woman"])

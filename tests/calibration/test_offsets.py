@@ -123,7 +123,7 @@ def test_what_a_clip_does_not_determine_is_left_out_or_refused():
     assert offsets_text([doubted]).endswith("[markers.on]")
 
 
-def test_the_command_prints_lines_for_the_recording(tmp_path, capsys):
+def test_the_command_prints_lines_for_the_recording(tmp_path, refusal, capsys):
     write_csv(tmp_path / "markers.csv", TIMES, *pivoting(TIMES, 6))
     on = {place.name: {"bone": place.bone, "at": 0.0} for place in PLACES}
     path = write_recording(tmp_path, "markers.csv", on)
@@ -137,5 +137,4 @@ def test_the_command_prints_lines_for_the_recording(tmp_path, capsys):
         assert max(figures[name]["std_m"]) < 0.005 and figures[name]["warnings"] == []
     # They go into the recording as they are.
     assert set(read_toml(path)["markers"]["on"]) == set(lines)
-    assert main(["offsets", str(path), "--turning", "0,3"]) == 2
-    assert "expected 8 or more" in capsys.readouterr().err
+    assert "expected 8 or more" in refusal("offsets", path, "--turning", "0,3")

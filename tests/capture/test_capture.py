@@ -1,6 +1,5 @@
 """Streams over time: markers between samples, frames of whole and broken videos, their order."""
 
-import os
 import struct
 from fractions import Fraction
 from pathlib import Path
@@ -9,6 +8,7 @@ import av
 import cv2
 import numpy as np
 import pytest
+from conftest import complaint
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -301,20 +301,16 @@ def test_frames_that_a_decoder_skips_repeats_or_shuffles_keep_their_places(tmp_p
 def test_what_is_no_video_is_refused(tmp_path, content):
     path = tmp_path / "v.mp4"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=r"v\.mp4: is not a video"):
-        Video(path)
+    assert "v.mp4: is not a video" in complaint(Video, path)
 
 
-def test_a_missing_video_and_a_sound_are_refused(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        Video(tmp_path / "none.mp4")
+def test_a_sound_is_refused(tmp_path):
     with av.open(str(tmp_path / "a.wav"), "w") as container:
         stream = container.add_stream("pcm_s16le", rate=8000)
         sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), layout="mono")
         sound.sample_rate = 8000
         container.mux(stream.encode(sound))
-    with pytest.raises(InputError, match="it has no video stream"):
-        Video(tmp_path / "a.wav")
+    assert "it has no video stream" in complaint(Video, tmp_path / "a.wav")
 
 
 @pytest.mark.parametrize("rotation", [90, 180, -90])
@@ -341,8 +337,7 @@ def test_frames_in_memory_have_the_same_face():
     assert [t for t, _ in video] == [1.0, 1.1, 1.2]
     grey = [image for _, image in video.frames(luma=True)]
     assert grey[0] is not None and grey[0].shape == (48, 64) and grey[1] is None
-    with pytest.raises(InputError, match="neither a file nor frames"):
-        open_video(source)
+    assert "neither a file nor frames" in complaint(open_video, source)
 
 
 @pytest.mark.parametrize(
@@ -355,8 +350,7 @@ def test_frames_in_memory_have_the_same_face():
     ],
 )
 def test_frames_in_memory_that_do_not_fit_are_refused(times, images):
-    with pytest.raises(InputError, match="video in memory"):
-        MemoryVideo(np.array(times), images)
+    assert "video in memory" in complaint(MemoryVideo, np.array(times), images)
 
 
 @pytest.mark.parametrize(
@@ -428,8 +422,7 @@ def test_times_and_counts_of_a_video_are_sensible_or_refused(tmp_path, box, at, 
 
 def test_stamps_far_apart_are_refused(tmp_path):
     write_video(tmp_path / "v.mkv", [0, 1, 2, 100 * 86400 * 30])
-    with pytest.raises(InputError, match=r"found frames 0 to 2\.592e\+06 s after its start"):
-        Video(tmp_path / "v.mkv")
+    assert "found frames 0 to 2.592e+06 s after its start" in complaint(Video, tmp_path / "v.mkv")
 
 
 def test_images_of_any_size_that_a_file_states_are_not_decoded(tmp_path):
@@ -439,8 +432,7 @@ def test_images_of_any_size_that_a_file_states_are_not_decoded(tmp_path):
     for place in places:
         content[place + 5 : place + 9] = struct.pack(">HH", 30_000, 30_000)
     (tmp_path / "v.avi").write_bytes(content)
-    with pytest.raises(InputError, match="none of its frames can be decoded"):
-        Video(tmp_path / "v.avi")
+    assert "none of its frames can be decoded" in complaint(Video, tmp_path / "v.avi")
 
 
 def test_frames_of_another_size_are_none(tmp_path):
@@ -453,8 +445,7 @@ def test_frames_of_another_size_are_none(tmp_path):
 
 def test_more_frames_than_any_recording_has_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(video_module, "MAX_FRAMES", 10)
-    with pytest.raises(InputError, match="expected at most 10 frames"):
-        Video(write_video(tmp_path / "v.mp4"))
+    assert "expected at most 10 frames" in complaint(Video, write_video(tmp_path / "v.mp4"))
 
 
 @pytest.mark.parametrize(
@@ -468,16 +459,4 @@ def test_more_frames_than_any_recording_has_are_refused(tmp_path, monkeypatch):
 def test_lists_of_other_files_and_hosts_are_no_videos(tmp_path, text):
     write_video(tmp_path / "v.mp4")
     (tmp_path / "list.mp4").write_text(text)
-    with pytest.raises(InputError, match=r"list\.mp4: is not a video"):
-        Video(tmp_path / "list.mp4")
-
-
-def test_pipes_devices_and_folders_are_refused_before_they_are_opened(tmp_path):
-    with pytest.raises(InputError, match="found a folder, expected a file"):
-        Video(tmp_path)
-    if hasattr(os, "mkfifo"):
-        os.mkfifo(tmp_path / "v.mp4")
-        with pytest.raises(InputError, match="found a named pipe, expected a file"):
-            Video(tmp_path / "v.mp4")
-        with pytest.raises(InputError, match="found a device, expected a file"):
-            Video("/dev/zero")
+    assert "list.mp4: is not a video" in complaint(Video, tmp_path / "list.mp4")

@@ -8,6 +8,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import complaint
 from hypothesis import given
 from hypothesis import strategies as st
 from small_recording import CAMERA, PLACES, small_recording, standing
@@ -142,8 +143,7 @@ def test_where_no_face_is_seen_the_model_must_be_stated(tmp_path):
     person = points("BODY_25B")
     person[:5] = 0
     write(tmp_path, {"0.json": openpose(person)})
-    with pytest.raises(InputError, match=r"state keypoints_model = \"BODY_25\" or \"BODY_25B\""):
-        read_keypoints(tmp_path)
+    assert 'state keypoints_model = "BODY_25" or "BODY_25B"' in complaint(read_keypoints, tmp_path)
     actual = read_keypoints(tmp_path, "BODY_25B")
     assert actual.pixels_xy[0, 0, actual.landmarks.index("elbow_l")].tolist() == pixel("elbow_l")
 
@@ -257,79 +257,65 @@ def test_names_in_the_file_come_before_the_count(tmp_path):
     assert actual.landmarks[0] == "pelvis" and len(actual.landmarks) == 13
     assert_the_person(actual, 0, 0, 0)
     write(tmp_path, {"results_cam.json": {"meta_info": {}, "instance_info": [instance(person)]}})
-    with pytest.raises(InputError, match="no frame number in its name"):
-        read_keypoints(tmp_path)
+    assert "no frame number in its name" in complaint(read_keypoints, tmp_path)
 
 
 COMPLETE = points("COCO_17")
 
 
+def by_names(names: dict[str, str], person: np.ndarray) -> dict:
+    """As MMPose writes a file that names its points."""
+    return {"meta_info": {"keypoint_id2name": names}, "instance_info": [instance(person)]}
+
+
 @pytest.mark.parametrize(
-    ("files", "model", "says"),
+    ("files", "says"),
     [
-        ({}, None, "found no .json file"),
-        ({"0.json": {"people": []}}, None, "found nobody in any frame"),
-        ({"0.json": {"bodies": []}}, None, "0.json: found no key points, expected 'people'"),
-        ({"0.json": {"people": {}}}, None, "0.json: people: found {}, expected a list"),
-        ({"0.json": {"people": [3]}}, None, "people[0].pose_keypoints_2d: found None, expected a"),
-        ({"0.json": openpose(COMPLETE.ravel()[:-1])}, None, "found 50 numbers, expected x, y, c"),
-        (
-            {"0.json": openpose(COMPLETE[:14])},
-            None,
-            "found 14 points, expected those of BODY_25 (25)",
-        ),
-        (
-            {"0.json": openpose(COMPLETE), "1.json": openpose(COMPLETE[1:])},
-            None,
-            "1.json: found 16 poi",
-        ),
-        ({"0.json": openpose(COMPLETE)}, "HALPE_26", "found 17 points, but HALPE_26 names 26"),
-        ({"0.json": openpose(COMPLETE)}, "BODY_26", "unknown model 'BODY_26', expected BODY_25, "),
-        ({"0.json": openpose(COMPLETE / 640)}, None, "expected pixels (--keypoint_scale 0)"),
-        ({"a.json": openpose(COMPLETE)}, None, "a.json: found no frame number in its name"),
-        ({f"{9**30}.json": openpose(COMPLETE)}, None, "found no frame number in its name"),
-        (
-            {"a_7.json": openpose(COMPLETE), "b_7.json": openpose(COMPLETE)},
-            None,
-            "frame 7 is in a_7",
-        ),
-        ({"0.json": [{"keypoints": [["x", 1]]}]}, None, "[0].keypoints: found other than equally"),
-        ({"0.json": [{"keypoints": [[1, 2], [3]]}]}, None, "[0].keypoints: found other than equal"),
-        ({"0.json": [{"keypoints": [[1, 2]]}]}, None, "[0].keypoints: found shape (1, 2)"),
+        ({}, "found no .json file"),
+        ({"0.json": {"people": []}}, "found nobody in any frame"),
+        ({"0.json": {"bodies": []}}, "0.json: found no key points, expected 'people'"),
+        ({"0.json": {"people": {}}}, "0.json: people: found {}, expected a list"),
+        ({"0.json": {"people": [3]}}, "people[0].pose_keypoints_2d: found None, expected a"),
+        ({"0.json": openpose(COMPLETE.ravel()[:-1])}, "found 50 numbers, expected x, y, c"),
+        ({"0.json": openpose(COMPLETE[:14])}, "found 14 points, expected those of BODY_25 (25)"),
+        ({"0.json": openpose(COMPLETE), "1.json": openpose(COMPLETE[1:])}, "1.json: found 16 poi"),
+        ({"0.json": openpose(COMPLETE / 640)}, "expected pixels (--keypoint_scale 0)"),
+        ({"a.json": openpose(COMPLETE)}, "a.json: found no frame number in its name"),
+        ({f"{9**30}.json": openpose(COMPLETE)}, "found no frame number in its name"),
+        ({"a_7.json": openpose(COMPLETE), "b_7.json": openpose(COMPLETE)}, "frame 7 is in a_7"),
+        ({"0.json": [{"keypoints": [["x", 1]]}]}, "[0].keypoints: found other than equally"),
+        ({"0.json": [{"keypoints": [[1, 2], [3]]}]}, "[0].keypoints: found other than equal"),
+        ({"0.json": [{"keypoints": [[1, 2]]}]}, "[0].keypoints: found shape (1, 2)"),
         (
             {"0.json": [instance(COMPLETE) | {"keypoint_scores": [1.0]}]},
-            None,
             "[0].keypoint_scores: found shape (1,), expected one score for each key point (17)",
         ),
-        ({"0.json": [{"instances": []}]}, None, "[0].frame_id: found None, expected a whole"),
-        ({"0.json": {"instance_info": [4]}}, None, "instance_info[0].keypoints: found None"),
+        ({"0.json": [{"instances": []}]}, "[0].frame_id: found None, expected a whole"),
+        ({"0.json": {"instance_info": [4]}}, "instance_info[0].keypoints: found None"),
         (
-            {
-                "0.json": {
-                    "meta_info": {"keypoint_id2name": {"0": "left_elbow"}},
-                    "instance_info": [instance(COMPLETE)],
-                }
-            },
-            None,
+            {"0.json": by_names({"0": "left_elbow"}, COMPLETE)},
             "found 17 points, but meta_info names 1",
         ),
         (
-            {
-                "0.json": {
-                    "meta_info": {"keypoint_id2name": {"0": "tail"}},
-                    "instance_info": [instance(COMPLETE[:1])],
-                }
-            },
-            None,
+            {"0.json": by_names({"0": "tail"}, COMPLETE[:1])},
             "none of the points tail is a landmark of ours",
         ),
     ],
 )
-def test_bad_files_are_refused_with_file_and_place(tmp_path, files, model, says):
-    with pytest.raises(InputError) as caught:
-        read_keypoints(write(tmp_path, files), model)
-    message = str(caught.value)
-    assert says in message and "\n" not in message and message.startswith(str(tmp_path))
+def test_bad_files_are_refused_with_file_and_place(tmp_path, files, says):
+    message = complaint(read_keypoints, write(tmp_path, files))
+    assert says in message and message.startswith(str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("model", "says"),
+    [
+        ("HALPE_26", "found 17 points, but HALPE_26 names 26"),
+        ("BODY_26", "unknown model 'BODY_26', expected BODY_25, "),
+    ],
+)
+def test_a_model_that_does_not_fit_is_refused(tmp_path, model, says):
+    assert says in complaint(read_keypoints, write(tmp_path, {"0.json": openpose(COMPLETE)}), model)
 
 
 @pytest.mark.parametrize("content", [b"", b'{"people": [', b"\xff\xfe\x00", b"[" * 100_000])
@@ -337,16 +323,14 @@ def test_what_is_no_json_is_refused(tmp_path, content):
     (tmp_path / "0.json").write_bytes(content)
     with pytest.raises(InputError, match=r"0\.json: .*JSON"):
         read_keypoints(tmp_path)
-    with pytest.raises(InputError, match="no such file"):
-        read_keypoints(tmp_path / "none")
+    assert "no such file" in complaint(read_keypoints, tmp_path / "none")
 
 
 def test_detections_in_memory_are_checked_as_well():
     pixels, confidences = np.zeros((2, 1, 3, 2)), np.ones((2, 1, 3))
     names = ("wrist_l", "wrist_r", "vertex")
     assert Detections(np.array([4, 5]), names, pixels, confidences).name == "key points in memory"
-    with pytest.raises(InputError, match="do not ascend"):
-        Detections(np.array([5, 5]), names, pixels, confidences)
+    assert "do not ascend" in complaint(Detections, np.array([5, 5]), names, pixels, confidences)
     with pytest.raises(InputError, match="2 frames and 2 landmarks"):
         Detections(np.array([4, 5]), names[:2], pixels, confidences)
     with pytest.raises(InputError, match="for 2 frames"):
@@ -398,9 +382,7 @@ def test_the_first_frames_number_follows_the_rule_or_is_stated(numbers, frames, 
     ],
 )
 def test_numbers_that_do_not_tell_the_first_frame_are_refused(numbers, stated, says):
-    with pytest.raises(InputError) as caught:
-        align_detections(detections(numbers), 6, stated)
-    assert says in str(caught.value)
+    assert says in complaint(align_detections, detections(numbers), 6, stated)
 
 
 def test_a_recordings_video_opens_its_key_points(tmp_path):

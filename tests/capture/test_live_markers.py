@@ -1,11 +1,11 @@
 """Markers that come in live: packets of every kind, clocks, samples, queues."""
 
 import socket
-import time
 from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
+from conftest import wait_for
 from hypothesis import given
 from hypothesis import strategies as st
 from pythonosc.osc_bundle_builder import OscBundleBuilder
@@ -26,7 +26,6 @@ from jaxmocap.capture.streams.senders import SENDER_BURST
 from jaxmocap.capture.streams.stream_clock import JUMP_S, StreamClock
 from jaxmocap.capture.streams.udp import MAX_BURST, Datagram, MarkerSocket, OscTable
 from jaxmocap.formats.files.addresses import Address
-from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
 
 MARKERS = ("Hmd", "LeftController", "RightController")
@@ -393,8 +392,8 @@ def test_frames_wait_and_are_replaced_while_they_are_not_asked_for():
 
 
 @contextmanager
-def listening(give):
-    gathers = SampleAssembler(MARKERS, {}, R_WORLD_UNITY, give)
+def listening(give, markers=MARKERS, aliases=None):
+    gathers = SampleAssembler(markers, aliases or {}, R_WORLD_UNITY, give)
     marker_socket = MarkerSocket(OscTable(Address(port=0)), gathers)
     marker_socket.start()
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -403,13 +402,6 @@ def listening(give):
     finally:
         sender.close()
         marker_socket.stop()
-
-
-def wait_for(condition, seconds: float = 5.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.005)
-    assert condition()
 
 
 def test_a_socket_counts_what_it_ignores_and_takes_the_rest():
@@ -425,6 +417,8 @@ def test_a_socket_counts_what_it_ignores_and_takes_the_rest():
             send(datagram)
         wait_for(lambda: out)
         assert marker_socket.packets == 4 and marker_socket.last_arrival is not None
+        ((name, count),) = marker_socket.packets_by_sender().items()
+        assert name.startswith("127.0.0.1:") and count == 4
         assert dict(marker_socket.ignored) == {
             "malformed": 1,
             "absurd": 1,
@@ -450,10 +444,3 @@ def test_of_a_flood_the_newest_are_read():
     assert len(out) == SENDER_BURST
     assert marker_socket.ignored["flood"] == 2 * MAX_BURST - SENDER_BURST
     assert out[-1].positions_world[0, 0] == pytest.approx((2 * MAX_BURST - 1) / 100)
-
-
-def test_an_address_that_is_taken_is_said():
-    with listening(lambda sample: None) as (marker_socket, _):
-        gathers, _ = gathering()
-        with pytest.raises(InputError, match="cannot listen there"):
-            MarkerSocket(OscTable(marker_socket.address), gathers)

@@ -1,14 +1,15 @@
 """Streams as VirtualMotionCapture, SlimeVR and VRChat's trackers have them, taken in."""
 
 import re
-import socket
 import time
 from importlib.resources import files
 
 import numpy as np
 import pytest
 import vmc_programs as programs
+from conftest import wait_for
 from scipy.spatial.transform import Rotation
+from test_live_markers import listening
 
 from jaxmocap.capture.streams.osc import parse_packet
 from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
@@ -206,21 +207,13 @@ def test_two_programs_that_send_at_once_bring_all_markers():
 def test_virtual_motion_capture_over_a_real_socket():
     samples: list[MarkerSample] = []
     aliases = {SERIALS["Con"]: "Left", SERIALS["Tra"]: "Waist"}
-    assembler = SampleAssembler(("Hmd", "Left", "Waist"), aliases, R_WORLD_UNITY, samples.append)
-    marker_socket = MarkerSocket(OscTable(Address(port=0)), assembler)
-    marker_socket.start()
-    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
+    markers = "Hmd", "Left", "Waist"
+    with listening(samples.append, markers, aliases) as (marker_socket, send):
         for frame in range(FRAMES):
             for datagram in programs.virtual_motion_capture(devices(frame), frame / RATE):
-                sender.sendto(datagram, tuple(marker_socket.address))
+                send(datagram)
             time.sleep(0.002)
-        end = time.monotonic() + 5
-        while len(samples) < FRAMES and time.monotonic() < end:
-            time.sleep(0.005)
-    finally:
-        sender.close()
-        marker_socket.stop()
+        wait_for(lambda: len(samples) >= FRAMES)
     check_motion(samples, scale=SCALE)
     assert set(+marker_socket.ignored) == {"foreign"}
 

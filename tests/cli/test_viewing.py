@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import rerun as rr
 import rerun.blueprint as rrb
+from conftest import rerun_chunks, wait_for
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import Tree
-from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.outputs import live_view
 from jaxmocap.outputs.layout import SERIES, lay_out
@@ -96,16 +96,11 @@ def test_the_page_is_served_to_this_machine_and_its_data_beside_it(folder):
 
 
 def test_the_page_has_the_recording_and_nothing_else(folder):
-    chunks = pytest.importorskip(
-        "rerun.chunk",
-        reason="the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can",
-    )
+    chunks = rerun_chunks()
     served, copied = serve_page(folder / "recording.rrd", free_port()), folder / "copied.rrd"
     reader = subprocess.Popen([*view.viewer_command(), "--save", copied, served.url])
     try:
-        end = time.monotonic() + 60
-        while not (copied.is_file() and copied.stat().st_size) and time.monotonic() < end:
-            time.sleep(0.1)
+        wait_for(lambda: copied.is_file() and copied.stat().st_size, 60.0)
         time.sleep(1.0)
     finally:
         for process in (reader, served.process):
@@ -117,14 +112,10 @@ def test_the_page_has_the_recording_and_nothing_else(folder):
 
 
 @pytest.mark.parametrize("content", [b"", b"no recording" * 300])
-def test_a_file_that_is_no_recording_is_refused(tmp_path, capsys, content):
-    pytest.importorskip(
-        "rerun.chunk",
-        reason="the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can",
-    )
+def test_a_file_that_is_no_recording_is_refused(tmp_path, refusal, content):
+    rerun_chunks()
     (tmp_path / "recording.rrd").write_bytes(content)
-    assert main(["view", str(tmp_path), "--web", "--port", str(free_port())]) == 2
-    (sentence,) = capsys.readouterr().err.splitlines()
+    sentence = refusal("view", tmp_path, "--web", "--port", free_port())
     assert "recording.rrd: expected a recording of rerun, found none" in sentence
 
 
@@ -188,12 +179,11 @@ def test_a_closed_terminal_ends_the_command_and_its_server(folder):
     assert not any(map(answers, ports))
 
 
-def test_a_second_viewer_on_a_port_that_is_taken_names_the_option(folder, capsys):
+def test_a_second_viewer_on_a_port_that_is_taken_names_the_option(folder, refusal):
     first = serve_page(folder / "recording.rrd", free_port())
     try:
         port = int(re.findall(r":(\d+)/", str(first.page))[0])
-        assert main(["view", str(folder), "--web", "--port", str(port)]) == 2
-        (sentence,) = capsys.readouterr().err.splitlines()
+        sentence = refusal("view", folder, "--web", "--port", port)
         assert f"port {port}: is taken" in sentence and "--port" in sentence
         assert first.is_open
     finally:
@@ -208,10 +198,7 @@ def test_a_viewer_that_ends_at_once_is_an_error_that_names_the_option(folder, mo
 
 
 def test_a_live_view_shows_the_newest_pose_and_image_and_keeps_up(tmp_path, monkeypatch):
-    chunks = pytest.importorskip(
-        "rerun.chunk",
-        reason="the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can",
-    )
+    chunks = rerun_chunks()
     path = tmp_path / "live.rrd"
     monkeypatch.setattr(rr.RecordingStream, "connect_grpc", lambda self, url: self.save(path))
     skeleton = Skeleton.human(1.75)
@@ -225,9 +212,7 @@ def test_a_live_view_shows_the_newest_pose_and_image_and_keeps_up(tmp_path, monk
     for i, image in enumerate(images):
         view.show(LiveSnapshot(i / 100, pose, np.array([0.2, 0.9]), 5.0, {"cam": image}))
         view.show(LiveSnapshot(i / 100 + 0.005, pose, np.array([0.2, 0.9]), 5.0, {}))
-    end = time.monotonic() + 20
-    while (not sent or sent[-1].time < 0.995) and time.monotonic() < end:
-        time.sleep(0.01)
+    wait_for(lambda: sent and sent[-1].time >= 0.995, 20.0)
     view.close()
     # What is not shown in time is passed over, but an image waits for the next pose.
     assert len(sent) < 100 and sent[-1].time == 0.995

@@ -25,7 +25,6 @@ from jaxmocap.body.proportions import (
 )
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.calibration.fitting.lengths import LengthsFit, fit_lengths
-from jaxmocap.cli.program import main
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, project_limbs
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.recordings.subject import read_subject, write_subject
@@ -186,19 +185,12 @@ def standing_still(folder: Path, seconds: float, places=PLACES) -> Path:
     return write_recording(folder, "markers.trc", places, subject={"height": 1.8})
 
 
-def refused(capsys, *given: str) -> str:
-    assert main(["scale", *given]) == 2
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1
-    return message
-
-
-def test_what_cannot_tell_lengths_is_refused_in_one_sentence(tmp_path, capsys, monkeypatch):
+def test_what_cannot_tell_lengths_is_refused_in_one_sentence(tmp_path, refusal, monkeypatch):
     out = ("--out", str(tmp_path / "subject.toml"))
     path = standing_still(tmp_path, 3.0)
     given = ("--recording", str(path), *out)
-    assert "film the movement as well" in refused(capsys, *given)
-    assert "metres between" in refused(capsys, *given, "--height", "9")
+    assert "film the movement as well" in refusal("scale", *given)
+    assert "metres between" in refusal("scale", *given, "--height", "9")
     from jaxmocap.pipelines.scaling import fit_lengths
 
     def filmed(path):
@@ -207,9 +199,9 @@ def test_what_cannot_tell_lengths_is_refused_in_one_sentence(tmp_path, capsys, m
 
     lengths_loaded = fit_lengths.load_recording
     monkeypatch.setattr(fit_lengths, "load_recording", filmed)
-    assert "too little to determine lengths" in refused(capsys, *given)
+    assert "too little to determine lengths" in refusal("scale", *given)
     standing_still(tmp_path, 0.5)
-    assert "s of markers are too few" in refused(capsys, *given)
+    assert "s of markers are too few" in refusal("scale", *given)
     standing_still(tmp_path, 3.0, {name: PLACES[name] for name in ("Head", "Left")})
-    assert "at the head and at both hands" in refused(capsys, *given)
+    assert "at the head and at both hands" in refusal("scale", *given)
     assert not Path(out[1]).exists()

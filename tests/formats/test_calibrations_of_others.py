@@ -282,7 +282,7 @@ def test_a_folder_of_easymocap_needs_both_files(tmp_path):
     assert "extri.yml: no such file" in refused(tmp_path, tmp_path / "ours.toml", size=SIZE)
 
 
-def test_the_command_says_what_it_read_and_wrote(tmp_path, capsys):
+def test_the_command_says_what_it_read_and_wrote(tmp_path, capsys, refusal):
     source, _ = qualisys(tmp_path, CAMERAS)
     target = tmp_path / "ours.toml"
     assert main(["convert", str(source), str(target)]) == 0
@@ -291,9 +291,9 @@ def test_the_command_says_what_it_read_and_wrote(tmp_path, capsys):
         "cameras  cam_1, cam_2, cam_3",
         f"written  {target}",
     ]
-    assert main(["convert", str(source), str(tmp_path / "ours.csv")]) == 2
-    assert "a calibration is made into .toml" in capsys.readouterr().err
-    assert main(["convert", str(source), str(target), "--rate", "60"]) == 2
-    assert "--rate does not apply to a calibration" in capsys.readouterr().err
-    assert main(["convert", str(tmp_path / "none.xcp"), str(target)]) == 2
-    assert "no such file" in capsys.readouterr().err
+    for asked, says in (
+        ([source, tmp_path / "ours.csv"], "a calibration is made into .toml"),
+        ([source, target, "--rate", "60"], "--rate does not apply to a calibration"),
+        ([tmp_path / "none.xcp", target], "no such file"),
+    ):
+        assert says in refusal("convert", *asked)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import poses
-from hypothesis import HealthCheck, given, settings
+from conftest import complaint, poses
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_body import SAMPLES, moving_body, with_parts
 from scipy.spatial.transform import Rotation
@@ -23,10 +23,6 @@ from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.mot import read_mot
 from jaxmocap.formats.time_series.trc import write_trc
 
-shared_folder = settings(
-    deadline=None, max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-
 
 @pytest.fixture
 def folder(tmp_path):
@@ -39,7 +35,7 @@ def options(suffix: str, folder) -> ConversionOptions:
 
 
 @pytest.mark.parametrize("suffix", ["bvh", "glb", "mot"])
-@shared_folder
+@settings(max_examples=15)
 @given(st.lists(poses(), min_size=3, max_size=3))
 def test_a_motion_survives_the_way_there_and_back(tmp_path, suffix, drawn):
     """Joints, turns and bone lengths; of angles in the hinges' lock only the turn is one."""
@@ -151,26 +147,30 @@ def test_bvh_files_say_what_they_leave_out(folder):
 
 
 def test_what_cannot_be_converted_is_refused_in_one_sentence(folder, recordings):
-    def complaint(source, target, **given) -> str:
-        with pytest.raises(InputError) as caught:
-            convert_file(folder / source, folder / target, ConversionOptions(**given))
-        assert "\n" not in str(caught.value) and not (folder / target).exists()
-        return str(caught.value)
+    def refused(source, target, **given) -> str:
+        files = folder / source, folder / target
+        message = complaint(convert_file, *files, ConversionOptions(**given))
+        assert not (folder / target).exists()
+        return message
 
     convert_file(folder / "motion.npz", folder / "a.trc")
     convert_file(folder / "motion.npz", folder / "a.mot")
     convert_file(folder / "motion.npz", folder / "a.bvh", ConversionOptions(names="smpl"))
-    assert "positions of markers, not orientations of bones" in complaint("a.trc", "b.bvh")
-    assert "unknown suffix '.fbx', expected one of .c3d, .trc" in complaint("a.trc", "b.fbx")
-    assert "angles without bones" in complaint("a.mot", "b.bvh")
-    assert "expected a .npz, .bvh or .glb" in complaint("a.mot", "b.bvh", body=folder / "a.trc")
-    assert "--unit does not apply to .npz to .glb" in complaint("motion.npz", "b.glb", unit="cm")
-    assert "--names does not apply to .trc to .csv" in complaint("a.trc", "b.csv", names="smpl")
-    assert "no such file" in complaint("none.npz", "b.bvh")
+    assert "positions of markers, not orientations of bones" in refused("a.trc", "b.bvh")
+    assert "unknown suffix '.fbx', expected one of .c3d, .trc" in refused("a.trc", "b.fbx")
+    assert "angles without bones" in refused("a.mot", "b.bvh")
+    assert "expected a .npz, .bvh or .glb" in refused("a.mot", "b.bvh", body=folder / "a.trc")
+    assert "--unit does not apply to .npz to .glb" in refused("motion.npz", "b.glb", unit="cm")
+    assert "--names does not apply to .trc to .csv" in refused("a.trc", "b.csv", names="smpl")
+    assert "no such file" in refused("none.npz", "b.bvh")
+    nameless = (folder / "a.mot").read_text().replace("\tneck_flexion", "\tneck", 1)
+    (folder / "c.mot").write_text(nameless)
+    problem = refused("c.mot", "b.npz", body=folder / "motion.npz")
+    assert "no column 'neck_flexion'" in problem
     text = (folder / "a.bvh").read_text()
     (folder / "c.bvh").write_text(text.replace("left_elbow", "Ellbogen"))
-    assert "not our skeleton, whatever its joints" in complaint("c.bvh", "b.npz")
-    assert "no supported naming" in complaint("c.bvh", "b.glb", names="vrm")
+    assert "not our skeleton, whatever its joints" in refused("c.bvh", "b.npz")
+    assert "no supported naming" in refused("c.bvh", "b.glb", names="vrm")
     # The left wrist turned by 50 degrees, which ours cannot.
     lines = text.splitlines()
     values = lines[-1].split()
@@ -178,12 +178,12 @@ def test_what_cannot_be_converted_is_refused_in_one_sentence(folder, recordings)
     turning = [n for n in armature.names if not n.endswith("_end")]
     values[3 + 3 * turning.index("left_wrist") + 1] = "50"
     (folder / "d.bvh").write_text("\n".join([*lines[:-1], " ".join(values)]))
-    assert "hand_l at 0.983333 s: rotated" in complaint("d.bvh", "b.npz")
+    assert "hand_l at 0.983333 s: rotated" in refused("d.bvh", "b.npz")
     shifted = text.replace("JOINT left_shoulder\n", "JOINT left_shoulder\n", 1)
     i = shifted.index("OFFSET", shifted.index("JOINT left_collar"))
     shifted = shifted[:i] + "OFFSET 0.05 0.2 0.0" + shifted[shifted.index("\n", i) :]
     (folder / "e.bvh").write_text(shifted)
-    assert "left_collar starts elsewhere" in complaint("e.bvh", "b.npz")
+    assert "left_collar starts elsewhere" in refused("e.bvh", "b.npz")
 
 
 def test_angles_are_written_in_degrees_without_jumps(folder):
@@ -203,29 +203,6 @@ def test_angles_are_written_in_degrees_without_jumps(folder):
     np.testing.assert_allclose(columns["pelvis_tx"], 1.5 * motion.times, atol=1e-8)
     # It yaws from -2 to 1.93 radians.
     np.testing.assert_allclose(columns["pelvis_yaw"], 4 * motion.times - 2, atol=1e-8)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("endheader", "", "no line 'endheader'"),
-        ("inDegrees=yes", "", "neither inDegrees=yes"),
-        ("time\t", "zeit\t", "line 7: found no 'time'"),
-        ("nRows=60", "nRows=61", "nRows is 61, but the file ends after 60"),
-        ("\tneck_flexion", "\tneck", "no column 'neck_flexion'"),
-        ("0.016666667\t", "0.016666667\tx\t", "line 9: found 29 columns, expected 28"),
-    ],
-)
-def test_bad_mot_files_are_refused_in_one_sentence(folder, old, new, message):
-    convert_file(folder / "motion.npz", folder / "a.mot")
-    text = (folder / "a.mot").read_text()
-    assert old in text
-    (folder / "a.mot").write_text(text.replace(old, new, 1))
-    with pytest.raises(InputError) as caught:
-        convert_file(
-            folder / "a.mot", folder / "b.npz", ConversionOptions(body=folder / "motion.npz")
-        )
-    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 # Comparing with ----------------------------------------------------------------------------------
@@ -261,13 +238,6 @@ def test_the_command_converts_and_says_what_it_left_out(recordings, tmp_path, ca
     np.testing.assert_allclose(back.positions, there.positions, atol=1e-6)
 
 
-def test_the_command_refuses_in_one_sentence_with_exit_code_2(folder, capsys):
-    assert main(["convert", str(folder / "motion.npz"), str(folder / "a.xyz")]) == 2
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1 and "unknown suffix '.xyz'" in message
-    with pytest.raises(SystemExit) as left:
-        main(["convert", "a.npz", "b.bvh", "--unit", "ell"])
-    assert left.value.code == 2
-    with pytest.raises(SystemExit):
-        main(["convert", "--help"])
-    assert "example: jaxmocap convert" in capsys.readouterr().out
+def test_the_command_refuses_in_one_sentence_with_exit_code_2(folder, refusal):
+    assert "unknown suffix '.xyz'" in refusal("convert", folder / "motion.npz", folder / "a.xyz")
+    assert "'ell'" in refusal("convert", "a.npz", "b.bvh", "--unit", "ell")

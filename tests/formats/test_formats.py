@@ -1,5 +1,6 @@
 """Marker files, calibrations, motions: what is written is read back, and bad files are refused."""
 
+import os
 import pickle
 from dataclasses import fields
 from pathlib import Path
@@ -9,27 +10,30 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import problem_of
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.capture.photographs import read_picture
+from jaxmocap.capture.video import Video
+from jaxmocap.formats.animation.bvh_in import read_bvh
+from jaxmocap.formats.animation.gltf_in import read_gltf
 from jaxmocap.formats.cameras.calibration import pick_camera, read_calibration, write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.motion_npz import load_motion, save_motion
+from jaxmocap.formats.recordings.recording import load_recording
+from jaxmocap.formats.time_series.c3d import read_c3d
 from jaxmocap.formats.time_series.csv import read_csv, write_csv
 from jaxmocap.formats.time_series.markers import read_markers
+from jaxmocap.formats.time_series.mot import read_mot
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.lenses import FISHEYE
 
-# A tmp_path that examples share is fine: each of them overwrites what it reads.
-shared_folder = settings(
-    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
 WRITERS = {"trc": (write_trc, read_trc), "csv": (write_csv, read_csv)}
 
 TRC = """PathFileType\t4\t(X/Y/Z)\ta.trc
@@ -65,7 +69,7 @@ def recorded_points(draw):
 
 
 @pytest.mark.parametrize("format", WRITERS)
-@shared_folder
+@settings(max_examples=40)
 @given(recorded_points())
 def test_markers_survive_a_round_trip_with_their_gaps(tmp_path, format, recorded):
     times, points = recorded
@@ -180,9 +184,28 @@ def test_marker_files_are_told_by_their_suffix(tmp_path):
     assert read_markers(written(tmp_path, TRC, "a.TRC")).names == ("Head", "Hand")
     assert read_markers(written(tmp_path, CSV, "a.csv")).names == ("Head", "Hand")
     assert "unknown suffix '.txt'" in problem_of(read_markers, written(tmp_path, TRC, "a.txt"))
-    assert problem_of(read_markers, tmp_path / "none.trc") == "no such file"
-    (tmp_path / "folder.trc").mkdir()
-    assert "found a folder" in problem_of(read_markers, tmp_path / "folder.trc")
+
+
+READERS = {
+    **{"a.trc": read_markers, "a.csv": read_markers, "a.mot": read_mot, "a.c3d": read_c3d},
+    **{"a.bvh": read_bvh, "a.glb": read_gltf, "a.npz": load_motion, "a.toml": read_calibration},
+    **{"a.yml": read_calibration, "r.toml": load_recording, "a.png": read_picture, "a.mp4": Video},
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_what_is_no_file_is_refused_before_anything_is_opened(tmp_path, name):
+    read, path = READERS[name], tmp_path / name
+    assert problem_of(read, path) == "no such file"
+    path.mkdir()
+    assert problem_of(read, path) == "found a folder, expected a file"
+    path.rmdir()
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(path)
+        assert problem_of(read, path) == "found a named pipe, expected a file"
+        path.unlink()
+        path.symlink_to("/dev/zero")
+        assert problem_of(read, path) == "found a device, expected a file"
 
 
 @pytest.mark.parametrize(("name", "frames", "markers"), [("markers", 60, 5), ("truth", 60, 21)])
@@ -218,7 +241,7 @@ def calibration_text(**changes: str | None) -> str:
     hnp.arrays(float, 3, elements=st.floats(-10, 10)),
     st.lists(st.floats(-0.5, 0.5), max_size=8),
 )
-@shared_folder
+@settings(max_examples=40)
 def test_cameras_survive_a_round_trip(tmp_path, rotation, translation, distortion):
     matrix = [[500.0, 0.0, 320.0], [0.0, 510.0, 240.0], [0.0, 0.0, 1.0]]
     camera = Camera.create((640, 480), np.array(matrix), distortion, rotation, translation)
@@ -266,6 +289,14 @@ def test_a_rotation_may_be_a_matrix(tmp_path):
         ({"distortions": "[1, 2, 3, 4, 5, 6, 7, 8, 9]"}, "expected at most 8 numbers"),
         ({"size": "[640, 0]"}, "expected two positive numbers"),
         ({"size": "640"}, "[cam] size: found 640, expected [width, height]"),
+        # What no camera has.
+        ({"size": "[1e9, 480]"}, "[cam] size: found"),
+        ({"size": "[0.1, 480]"}, "[cam] size: found"),
+        ({"matrix": "[[1e300, 0, 0], [0, 1, 0], [0, 0, 1]]"}, "[cam] matrix: found"),
+        ({"matrix": "[[1e-300, 0, 0], [0, 1, 0], [0, 0, 1]]"}, "[cam] matrix: found"),
+        ({"distortions": "[1e200]"}, "[cam] distortions: found"),
+        ({"rotation": "[1e200, 0, 0]"}, "[cam] rotation: found"),
+        ({"translation": "[1e200, 0, 0]"}, "[cam] translation: found"),
         ({"fisheye": "'yes'"}, "[cam] fisheye: found 'yes', expected true or false"),
         ({"fisheye": "true", "distortions": "[1, 2, 3, 4, 5]"}, "at most 4 numbers (k1 k2 k3 k4)"),
     ],

@@ -15,8 +15,6 @@ from jaxmocap.formats.recordings.keypoints import Detections, read_keypoints
 
 refused = partial(complaint, read_keypoints)
 
-HANG_S = 60
-
 
 def person(points: int = 17) -> dict:
     return {"pose_keypoints_2d": np.arange(1.0, 3 * points + 1).tolist()}

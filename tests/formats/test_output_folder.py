@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import disk_full_at
+from conftest import complaint, disk_full_at
 
 from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError, OutputError
@@ -200,8 +200,7 @@ def test_a_device_or_a_folder_is_never_replaced(tmp_path):
     for name in ("folder", "pipe"):
         with pytest.raises(OutputError, match="found a folder or a device"):
             write_text(tmp_path / name, "text")
-        with pytest.raises(InputError, match="found a folder or a device"):
-            check_target(tmp_path / name)
+        assert "found a folder or a device" in complaint(check_target, tmp_path / name)
     with pytest.raises(OutputError, match="found a folder or a device"):
         write_text("/dev/null", "text")
 
@@ -246,5 +245,4 @@ def test_a_writer_that_does_not_notice_is_checked(tmp_path):
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write to any folder")
 def test_a_folder_that_cannot_be_written_to_is_refused_before_any_work(tmp_path):
     tmp_path.chmod(0o500)
-    with pytest.raises(InputError, match="read-only"):
-        OutputFolder(tmp_path / "out", "motion")
+    assert "read-only" in complaint(OutputFolder, tmp_path / "out", "motion")

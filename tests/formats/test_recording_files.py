@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import complaint
 from small_recording import write_small_recording
 
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.calibration.sync import estimate_video_offsets
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.convert import convert_file
-from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import (
     MarkerPlace,
     Recording,
@@ -186,6 +186,7 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
             "[markers.on] Head: unknown bone 'skull', expected",
         ),
         (COMPLETE.replace('"head"', '"skull"'), "radius_l"),
+        (COMPLETE.replace('"head"', '"\\u001b[31m"'), "unknown bone '\\x1b[31m'"),
         (
             COMPLETE.replace('{ bone = "head" }', "1"),
             "[markers.on] Head: found 1, expected a table",
@@ -194,6 +195,7 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
         (COMPLETE.replace('"head"', '"head", at = 1.5'), "Head at: found 1.5, expected a fraction"),
         (COMPLETE.replace('"head"', '"head", at = true'), "Head at: found True, expected a number"),
         (COMPLETE.replace('"head"', '"head", offset = [1]'), "Head offset: found [1], expected 3"),
+        (COMPLETE.replace('"head"', '"head", offset = [1e200, 0, 0]'), "expected none beyond 10"),
         (
             COMPLETE.replace('"head"', '"head", to = 1'),
             "unknown key 'to', expected bone, at, offset",
@@ -205,6 +207,7 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
         (COMPLETE.replace('"cam"', '"cam_2"'), "c.toml: section [cam_2] is missing, found cam"),
         (COMPLETE.replace('"cam"', '"cam"\noffset = "1"'), "offset: found '1', expected a number"),
         (COMPLETE.replace('"cam"', '"cam"\noffset = nan'), "offset: found nan, expected a number"),
+        (COMPLETE.replace('"cam"', '"cam"\noffset = 1e300'), "number 1 offset: found 1e+300, exp"),
         (COMPLETE.replace('"cam"', '"cam"\nkeypoints = "k"'), "keypoints: no such folder"),
         (COMPLETE.replace('"cam"', '"cam"\nkeypoints = "k.json"'), "keypoints: no such file"),
         (COMPLETE.replace('"cam"', '"cam"\nkeypoints = 3'), "keypoints: found 3, expected text"),
@@ -212,6 +215,7 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
         (KEYPOINTS + 'keypoints_model = "BODY"\n', "one of BODY_25, BODY_25B, COCO_18, COCO_17"),
         (KEYPOINTS + "keypoints_first = 0.5\n", "keypoints_first: found 0.5, expected a whole"),
         (KEYPOINTS + "keypoints_first = '1'\n", "keypoints_first: found '1', expected a number"),
+        (KEYPOINTS + "keypoints_first = 1e300\n", "number 1 keypoints_first: found 1e+300"),
         (
             COMPLETE.replace('"cam"', '"cam"\nkeypoints_model = "BODY_25"'),
             "[[video]] number 1 keypoints_model: found without 'keypoints'",
@@ -219,6 +223,7 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
         (COMPLETE.replace(CALIBRATION, ""), "[calibration] is missing"),
         (COMPLETE.replace("c.toml", "d.toml"), "[calibration] file: no such file"),
         (COMPLETE.replace("1.7", "17"), "[subject]: height = 17.0: expected metres between"),
+        (COMPLETE.replace("1.7", "1e300"), "[subject] height: found 1e+300"),
         (
             COMPLETE.replace("height = 1.7", ""),
             "[subject]: found none, expected one of file, height",
@@ -236,11 +241,8 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
     ],
 )
 def test_bad_recordings_are_refused_with_file_and_field(folder, text, says):
-    with pytest.raises(InputError) as caught:
-        load(folder, text)
-    message = str(caught.value)
-    assert says in message and "\n" not in message
-    assert message.startswith(str(folder))
+    message = complaint(load, folder, text)
+    assert says in message and message.startswith(str(folder))
 
 
 def test_videos_alone_make_a_recording_which_no_marker_tracker_takes(folder):
@@ -248,8 +250,7 @@ def test_videos_alone_make_a_recording_which_no_marker_tracker_takes(folder):
     assert recording.marker_names == () and recording.positions_world.shape == (0, 0, 3)
     assert recording.times.shape == (0,) and recording.videos[0].camera_name == "cam"
     for user in (Recording.require_markers, track, check, estimate_video_offsets, warm_up):
-        with pytest.raises(InputError, match=r"r\.toml: \[markers\] is missing"):
-            user(recording)
+        assert "r.toml: [markers] is missing" in complaint(user, recording)
     marked = load(folder, COMPLETE)
     assert marked.require_markers() is marked
 
@@ -261,23 +262,16 @@ def test_a_recording_without_markers_is_written_without_them(folder):
     assert load_recording(path).videos[0].path == folder / "v.mp4"
 
 
-def test_a_missing_recording_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        load_recording(tmp_path / "none.toml")
-
-
 def test_an_unknown_landmark_is_answered_with_all_of_them(folder):
-    with pytest.raises(InputError) as caught:
-        load(folder, MARKERS + ON + STATIC + "nose = 'Neck'\n")
-    assert all(name in str(caught.value) for name in LANDMARKS)
+    message = complaint(load, folder, MARKERS + ON + STATIC + "nose = 'Neck'\n")
+    assert all(name in message for name in LANDMARKS)
 
 
 def test_neck_and_hips_that_are_never_seen_together_are_refused(folder):
     points = {k: np.tile(v, (2, 1)) for k, v in STANDING.items()}
     points["Neck"][0] = points["LHip"][1] = np.nan
     write_trc(folder / "static.trc", np.arange(2.0), points)
-    with pytest.raises(InputError, match="in no common frame"):
-        load(folder, MARKERS + ON + STATIC + NEEDED)
+    assert "in no common frame" in complaint(load, folder, MARKERS + ON + STATIC + NEEDED)
 
 
 def test_a_recording_needs_no_file_on_disk():
@@ -303,11 +297,9 @@ def test_a_recording_needs_no_file_on_disk():
     ],
 )
 def test_parts_in_memory_are_checked_as_well(times, shape, bone, says):
-    with pytest.raises(InputError) as caught:
-        Recording(
-            Skeleton.human(), np.array(times), np.zeros(shape), (MarkerPlace("A", bone),), name="x"
-        )
-    assert str(caught.value).startswith("x: ") and says in str(caught.value)
+    parts = Skeleton.human(), np.array(times), np.zeros(shape), (MarkerPlace("A", bone),)
+    message = complaint(Recording, *parts, name="x")
+    assert message.startswith("x: ") and says in message
 
 
 def test_a_written_recording_is_read_back(folder):
@@ -371,5 +363,4 @@ def test_a_camera_that_is_not_used_need_not_have_been_placed(tmp_path):
         )
     assert [video.camera_name for video in load_recording(file).videos] == ["cam"]
     file.write_text(file.read_text().replace('camera = "cam"', 'camera = "other"'))
-    with pytest.raises(InputError, match=r"\[other\]: 'rotation' is missing"):
-        load_recording(file)
+    assert "[other]: 'rotation' is missing" in complaint(load_recording, file)

@@ -21,6 +21,7 @@ from calibrations_of_others import (
     vicon,
 )
 from drawn_boards import BOARD, LENS, draw, views
+from rigged_people import rigged
 from scipy.spatial.transform import Rotation
 from small_recording import HEIGHT, PLACES, small_recording, write_small_recording
 
@@ -49,20 +50,6 @@ STATIC = ("neck", "hip_l", "hip_r", "shoulder_l", "shoulder_r", "elbow_l", "knee
 POSES, RATE, SLOW = 8, 30, 10
 # Half as wide and high as in the drawn boards.
 BOARD_LENS = LENS.__class__(LENS.size / 2, LENS.matrix * [[0.5], [0.5], [1]], LENS.distortions)
-# A rig's joints on the left and in the middle: parent and place at rest, metres.
-MIDDLE = {
-    "Hips": (None, 0, 0, 0.94), "LowerBack": ("Hips", 0, 0.03, 1.03),
-    "Spine": ("LowerBack", 0, 0.02, 1.16), "Spine1": ("Spine", 0, 0.05, 1.3),
-    "Neck": ("Spine1", 0, -0.02, 1.5), "Neck1": ("Neck", 0, -0.02, 1.46),
-    "Head": ("Neck1", 0, -0.05, 1.6),
-}  # fmt: skip
-LEFT = {
-    "HipJoint": ("Hips", 0, 0, 0.94), "UpLeg": ("LeftHipJoint", 0.11, 0, 0.93),
-    "Leg": ("LeftUpLeg", 0.15, -0.03, 0.51), "Foot": ("LeftLeg", 0.2, -0.02, 0.07),
-    "ToeBase": ("LeftFoot", 0.21, -0.16, 0.03), "Shoulder": ("Spine1", 0.02, -0.03, 1.43),
-    "Arm": ("LeftShoulder", 0.19, -0.02, 1.4), "ForeArm": ("LeftArm", 0.36, -0.02, 1.21),
-    "Hand": ("LeftForeArm", 0.49, -0.21, 1.08), "HandFinger1": ("LeftHand", 0.52, -0.31, 1.04),
-}  # fmt: skip
 YAML = """\
 %YAML:1.0
 ---
@@ -141,7 +128,7 @@ def write_bases(folder: Path) -> None:
     _write_pictures(folder)
     _write_key_points(folder)
     _write_calibrations(folder)
-    _write_people(folder / "people.npz")
+    np.savez(folder / "people.npz", **rigged("man"))
     (folder / "cam.yml").write_text(YAML, encoding="utf-8")
     (folder / "rich.toml").write_text(RICH, encoding="utf-8")
     (folder / "live.toml").write_text(LIVE, encoding="utf-8")
@@ -293,39 +280,3 @@ def _write_key_points(folder: Path) -> None:
         frames.append({"frame_id": i, "instances": [person]})
     (folder / "list.json").write_text(json.dumps(frames))
     (folder / "nobody.json").write_text('{"people": []}')
-
-
-def _write_people(path: Path) -> None:
-    """A man of boxes around a rig's joints."""
-    sides = {"Left": 1.0, "Right": -1.0}
-    rig = MIDDLE | {
-        f"{side}{name}" if name != "HipJoint" else f"{side[0]}HipJoint": (
-            parent.replace("LeftHip", "LHip")
-            .replace("LHip", f"{side[0]}Hip")
-            .replace("Left", side),
-            out * x,
-            y,
-            z,
-        )
-        for side, out in sides.items()
-        for name, (parent, x, y, z) in LEFT.items()
-    }
-    names = list(rig)
-    joints = np.array([entry[1:] for entry in rig.values()], np.float32)
-    parents = np.array([-1 if e[0] is None else names.index(e[0]) for e in rig.values()], np.int16)
-    corners = 0.04 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    vertices = (joints[:, None] + corners).reshape(-1, 3)
-    box = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4)])
-    quads = (np.arange(len(names))[:, None, None] * 8 + box).reshape(-1, 4)
-    bones = np.repeat(np.arange(len(names)), 8)[:, None].repeat(4, 1)
-    np.savez(
-        path,
-        people=np.array(["man"]),
-        vertices=vertices[None].astype(np.float32),
-        quads=quads.astype(np.int32),
-        skin_joint=bones.astype(np.int16),
-        skin_weight=np.tile(np.array([1, 0, 0, 0], np.float32), (len(bones), 1)),
-        joint_names=np.array(names),
-        joint_parents=parents,
-        joints=joints[None],
-    )

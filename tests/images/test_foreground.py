@@ -229,11 +229,17 @@ def test_the_running_background_uses_earlier_frames_only():
     assert np.abs(now.colour - wall()).mean() < 3
 
 
-def test_what_stands_unmasked_in_a_single_frame_hardly_moves_the_running_background():
-    frames, _, reach = clip(walking())
-    running = RunningBackground()
+def learned(frames, reach, **options) -> RunningBackground:
+    """What is learned of a clip, frame by frame."""
+    running = RunningBackground(**options)
     for frame, body in zip(frames, reach, strict=True):
         running.update(frame, body)
+    return running
+
+
+def test_what_stands_unmasked_in_a_single_frame_hardly_moves_the_running_background():
+    frames, _, reach = clip(walking())
+    running = learned(frames, reach)
     before = running.background().colour
     visited = frames[-1].copy()
     visited[20:50, 10:40] = 255
@@ -267,9 +273,7 @@ def test_a_running_background_tells_the_person_like_a_learned_one():
 
 def test_a_running_background_outlives_a_blackout_and_starts_again_after_a_move():
     frames, _, reach = clip(walking())
-    running = RunningBackground(patience=8)
-    for frame, body in zip(frames, reach, strict=True):
-        running.update(frame, body)
+    running = learned(frames, reach, patience=8)
     before = running.background().colour
     for _ in range(7):
         running.update(np.zeros_like(frames[0]))

@@ -1,10 +1,12 @@
 """Who may send to a live run, how much, and by which clock; and what of it is reported and kept."""
 
 from io import StringIO
+from pathlib import Path
 
 import numpy as np
 import pytest
-from test_live_markers import MARKERS, bundle, device, gathering, listening, packet, wait_for
+from conftest import complaint, wait_for
+from test_live_markers import gathering, listening, packet
 
 from jaxmocap.capture.streams.senders import (
     MAX_REFUSED_NAMED,
@@ -22,7 +24,12 @@ from jaxmocap.pipelines.live.setup import load_live
 from jaxmocap.pipelines.live.status import FIRST_KEPT, NEWEST_KEPT, LiveStatus
 from jaxmocap.pipelines.live.stream_states import SILENT_S, stream_states
 
-LIVE = "[markers.on]\nHmd = { bone = 'head' }\n"
+
+def live_file(folder: Path, more: str) -> Path:
+    """A live run of the headset's marker, with more in its file."""
+    path = folder / "live.toml"
+    path.write_text(f"[markers.on]\nHmd = {{ bone = 'head' }}\n{more}")
+    return path
 
 
 class Line:
@@ -39,6 +46,10 @@ class Line:
         self.at = packets[-1].arrived
         self.socket.take(packets)
 
+    def report_to(self, status: LiveStatus) -> None:
+        for of, state in stream_states(self.socket, self.gathers, [], self.at):
+            status.set_state(self.at, of, state)
+
 
 @pytest.fixture
 def line():
@@ -54,8 +65,7 @@ def test_two_senders_with_two_clocks_are_no_clock_that_jumps(line):
     for i in range(900):
         at = i / 90
         line.bring(packet(0.0, 5000, at=at, stamp=at + 1000), packet(0.0, 5001, at=at, stamp=at))
-        for of, state in stream_states(line.socket, line.gathers, [], at):
-            status.set_state(at, of, state)
+        line.report_to(status)
     assert line.socket.clock_jumps == 0
     assert line.socket.packets_by_sender() == {"127.0.0.1:5000": 900, "127.0.0.1:5001": 900}
     assert not [each for each in status.messages if "clock" in each.what]
@@ -78,8 +88,7 @@ def test_a_clock_that_is_set_at_every_packet_is_reported_at_every_tenfold(line):
     for i in range(20_000):
         at = i / 1000
         line.bring(packet(0.0, at=at, stamp=float(i % 7) * 100))
-        for of, state in stream_states(line.socket, line.gathers, [], at):
-            status.set_state(at, of, state)
+        line.report_to(status)
     assert line.socket.clock_jumps > 10_000
     lines = [each.what for each in status.messages if "clock" in each.what]
     assert lines == [
@@ -106,9 +115,8 @@ def test_strangers_are_counted_named_and_otherwise_ignored(line):
 
 
 def test_the_hosts_and_networks_that_may_send_are_stated(tmp_path):
-    path = tmp_path / "live.toml"
-    path.write_text(LIVE + "[osc]\nlisten = '0.0.0.0:5000'\nfrom = ['10.0.0.7', '192.168.1.0/24']")
-    line = Line(load_live(path).source.allowed)
+    stated = "[osc]\nlisten = '0.0.0.0:5000'\nfrom = ['10.0.0.7', '192.168.1.0/24']"
+    line = Line(load_live(live_file(tmp_path, stated)).source.allowed)
     hosts = ("10.0.0.7", "::ffff:10.0.0.7", "192.168.1.99", "10.0.0.8", "127.0.0.1", "::1", "who")
     line.bring(*(packet(0.0, host=host) for host in hosts))
     assert len(line.samples) == 3 and line.socket.ignored["stranger"] == 4
@@ -116,15 +124,13 @@ def test_the_hosts_and_networks_that_may_send_are_stated(tmp_path):
 
 @pytest.mark.parametrize("listen", ["127.0.0.1:5000", "[::1]:5000", "localhost:5000", "5000", ""])
 def test_where_this_machine_alone_can_send_nobody_needs_to_be_stated(tmp_path, listen):
-    path = tmp_path / "live.toml"
-    path.write_text(LIVE + (f"[osc]\nlisten = '{listen}'" if listen else ""))
+    path = live_file(tmp_path, f"[osc]\nlisten = '{listen}'" if listen else "")
     assert load_live(path).source.allowed == LOOPBACK
 
 
 @pytest.mark.parametrize("listen", ["0.0.0.0:5000", "[::]:5000", "192.168.1.2:5000", "studio:5000"])
 def test_where_others_can_send_it_must_be_stated_who_may(tmp_path, listen):
-    path = tmp_path / "live.toml"
-    path.write_text(f"{LIVE}[osc]\nlisten = '{listen}'")
+    path = live_file(tmp_path, f"[osc]\nlisten = '{listen}'")
     with pytest.raises(InputError, match=r"'from' is missing.*\['192\.168\.1\.20'\]"):
         load_live(path)
 
@@ -133,20 +139,8 @@ def test_where_others_can_send_it_must_be_stated_who_may(tmp_path, listen):
     "stated", ["'127.0.0.1'", "[]", "['studio']", "[5]", "['10.0.0.1/99']", "['\\u001b[2J']"]
 )
 def test_senders_that_are_no_addresses_are_refused(tmp_path, stated):
-    path = tmp_path / "live.toml"
-    path.write_text(f"{LIVE}[osc]\nfrom = {stated.replace(chr(39), chr(34))}")
-    with pytest.raises(InputError, match="from: found") as refused:
-        load_live(path)
-    assert str(refused.value).isprintable()
-
-
-def test_packets_of_this_machine_come_in_over_a_real_socket():
-    out = []
-    with listening(out.append) as (marker_socket, send):
-        send(bundle(*(device("Tra", name, 0, 1, 0) for name in MARKERS)))
-        wait_for(lambda: out)
-        ((name, count),) = marker_socket.packets_by_sender().items()
-    assert name.startswith("127.0.0.1:") and count == 1
+    path = live_file(tmp_path, f"[osc]\nfrom = {stated.replace(chr(39), chr(34))}")
+    assert "from: found" in complaint(load_live, path)
 
 
 # Addresses ---------------------------------------------------------------------------------------
@@ -162,18 +156,13 @@ def test_packets_of_this_machine_come_in_over_a_real_socket():
 )
 @pytest.mark.parametrize("table", ["osc]\nlisten", "vmc]\nsend", "vrchat]\nsend"])
 def test_what_is_no_port_is_refused_in_one_sentence(tmp_path, table, port):
-    path = tmp_path / "live.toml"
-    path.write_text(f"{LIVE}[{table} = {port.replace(chr(39), chr(34))}\n")
-    with pytest.raises(InputError) as refused:
-        load_live(path)
-    sentence = str(refused.value)
-    assert sentence.isprintable() and len(sentence) <= 500 and "found" in sentence
+    path = live_file(tmp_path, f"[{table} = {port.replace(chr(39), chr(34))}\n")
+    assert "found" in complaint(load_live, path)
 
 
 def test_a_host_that_is_not_there_is_refused_before_the_run_begins():
     for opens in (lambda at: MarkerSocket(OscTable(at), gathering()[0]), DatagramSender):
-        with pytest.raises(InputError, match="no such address"):
-            opens(Address("no.such.host.invalid", 5000))
+        assert "no such address" in complaint(opens, Address("no.such.host.invalid", 5000))
 
 
 # Shares ------------------------------------------------------------------------------------------
@@ -262,8 +251,7 @@ def test_names_that_come_in_are_no_commands_to_a_terminal(line):
     status = LiveStatus(output)
     for name in ("\x1b[2J\x1b]0;owned\x07", "a\nb", "\u202egnp.exe"):
         line.gathers.unknown_names.add(name)
-    for of, state in stream_states(line.socket, line.gathers, [], 0.0):
-        status.set_state(0.0, of, state)
+    line.report_to(status)
     status.log(0.0, "\x1b[2J" + "x" * 10_000)
     status.update_line(0.0, {"\x1b[2Jcam": 0.1}, {}, np.zeros(2))
     text = output.getvalue()

@@ -40,6 +40,12 @@ PLACES = {"Hmd": (0.0, 1.6, 0.1), "LeftController": (-0.3, 1.0, 0.2)}
 PLACES["RightController"] = (0.3, 1.0, 0.2)
 
 
+@pytest.fixture
+def setup(tmp_path) -> LiveSetup:
+    (tmp_path / "live.toml").write_text(LIVE)
+    return load_live(tmp_path / "live.toml")
+
+
 class Run:
     """What ``Live`` does, without threads: packets in by a clock of its own, poses out."""
 
@@ -116,9 +122,7 @@ def peak_mb() -> float:
 
 
 @pytest.mark.slow
-def test_a_million_samples_come_in_and_are_recorded_in_flat_memory(tmp_path):
-    (tmp_path / "live.toml").write_text(LIVE)
-    setup = load_live(tmp_path / "live.toml")
+def test_a_million_samples_come_in_and_are_recorded_in_flat_memory(setup, tmp_path):
     run = Run(setup, tmp_path / "out", None)
     soak(run, 1_000_000)
     assert run.recording is not None
@@ -129,9 +133,7 @@ def test_a_million_samples_come_in_and_are_recorded_in_flat_memory(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_hundred_thousand_samples_are_tracked_in_flat_memory(tmp_path):
-    (tmp_path / "live.toml").write_text(LIVE)
-    setup = load_live(tmp_path / "live.toml")
+def test_a_hundred_thousand_samples_are_tracked_in_flat_memory(setup):
     tracking = LiveTracking(setup, Settings(refine="none"), smooth=False)
     tracking.wait_until_ready()
     run = Run(setup, None, tracking)
@@ -139,9 +141,7 @@ def test_a_hundred_thousand_samples_are_tracked_in_flat_memory(tmp_path):
     assert run.outputs == 100_000
 
 
-def test_some_samples_of_such_a_run_are_recorded_as_they_were_sent(tmp_path):
-    (tmp_path / "live.toml").write_text(LIVE)
-    setup = load_live(tmp_path / "live.toml")
+def test_some_samples_of_such_a_run_are_recorded_as_they_were_sent(setup, tmp_path):
     run = Run(setup, tmp_path / "out", None)
     for i in range(2000):
         run.step(i)

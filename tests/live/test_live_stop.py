@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import complaint
 from small_recording import PLACES
 from test_live_disk import contents, live_setup
 from test_live_run import Standing, small_setup
@@ -71,6 +72,15 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
+def live_file(folder: Path, port: int, filmed: bool = True) -> Path:
+    """A live run that listens at a port, of the markers alone where nobody films."""
+    live_setup(folder)
+    path = folder / "live.toml"
+    text = path.read_text() if filmed else path.read_text().partition("[[video]]")[0]
+    path.write_text(f"{text}\n[osc]\nlisten = {port}\n")
+    return path
+
+
 # Signals -----------------------------------------------------------------------------------------
 
 
@@ -80,10 +90,8 @@ def free_port() -> int:
     [(signal.SIGINT, False), (signal.SIGTERM, True), (signal.SIGHUP, True)],
 )
 def test_a_run_that_a_signal_ends_is_complete_and_reports_which(tmp_path, number, terminated):
-    live_setup(tmp_path)
     port = free_port()
-    path = tmp_path / "live.toml"
-    path.write_text(f"{path.read_text()}\n[osc]\nlisten = {port}\n")
+    path = live_file(tmp_path, port)
     stop, before = threading.Event(), signal.getsignal(number)
 
     def play() -> None:
@@ -227,8 +235,7 @@ def test_what_cannot_be_opened_leaves_no_recording_behind(tmp_path):
         taken.bind(("127.0.0.1", 0))
         source = OscTable(Address(port=taken.getsockname()[1]))
         setup = replace(small_setup(tmp_path), source=source)
-        with pytest.raises(InputError, match="cannot listen there"):
-            Live(setup, out=tmp_path / "out")
+        assert "cannot listen there" in complaint(Live, setup, out=tmp_path / "out")
     assert not (tmp_path / "out").exists() and not threads()
 
 
@@ -330,10 +337,7 @@ def test_a_process_without_threads_ends_as_ever():
 def test_live_with_a_viewer_ends_cleanly_every_time(tmp_path, number, times):
     """The whole command: Ctrl-C goes to its process group, as a terminal sends it."""
     port, stop, codes = free_port(), threading.Event(), Counter()
-    live_setup(tmp_path)
-    places = "\n".join(f'{name} = {{ bone = "{bone}" }}' for name, (bone, _) in PLACES.items())
-    path = tmp_path / "live.toml"
-    path.write_text(f"[markers.on]\n{places}\n[osc]\nlisten = {port}\n[subject]\nheight = 1.75\n")
+    path = live_file(tmp_path, port, filmed=False)
     threading.Thread(target=send_markers, args=(Address(port=port), stop), daemon=True).start()
     for i in range(times):
         code, output = _stopped(path, tmp_path / str(i), number)
@@ -375,9 +379,7 @@ def _stopped(path: Path, out: Path, number: int) -> tuple[int, str]:
 def test_forty_kills_of_the_command_lose_nothing_and_leave_nothing_hidden(tmp_path):
     """SIGKILL at any time: while it loads, compiles, listens and records."""
     port, stop, actual = free_port(), threading.Event(), Counter()
-    live_setup(tmp_path)
-    path = tmp_path / "live.toml"
-    path.write_text(f"{path.read_text()}\n[osc]\nlisten = {port}\n")
+    path = live_file(tmp_path, port)
     threading.Thread(target=send_markers, args=(Address(port=port), stop), daemon=True).start()
     listens = _seconds_until_it_listens(path)
     for i, after in enumerate(np.random.default_rng(0).uniform(0.1, 2.0, 40) * listens):
@@ -408,8 +410,7 @@ def _left_by_a_kill(path: Path, out: Path) -> str:
     there = {name: data for name, data in before.items() if not name.startswith(".")}
     if not there:
         return "nothing"
-    with pytest.raises(InputError, match="another folder"):
-        run_live(path, out=out)
+    assert "another folder" in complaint(run_live, path, out=out)
     assert contents(out) == there
     if "recording.toml" not in there:
         # Not a sample had come.
@@ -423,10 +424,7 @@ def _left_by_a_kill(path: Path, out: Path) -> str:
 
 
 def test_the_command_that_received_nothing_says_so_last_and_ends_with_1(tmp_path, capsys):
-    path = tmp_path / "live.toml"
-    live_setup(tmp_path)
-    text = path.read_text().partition("[[video]]")[0]
-    path.write_text(f"{text}\n[osc]\nlisten = {free_port()}\n")
+    path = live_file(tmp_path, free_port(), filmed=False)
     assert main(["live", str(path), "--seconds", "0.3", "--json", "-"]) == 1
     printed = capsys.readouterr()
     assert json.loads(printed.out)["problems"] and "nan" not in printed.err

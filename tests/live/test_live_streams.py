@@ -18,6 +18,7 @@ from typing import ClassVar
 import av
 import numpy as np
 import pytest
+from conftest import complaint
 
 from jaxmocap.capture import decoding
 from jaxmocap.capture.streams import cameras
@@ -220,8 +221,7 @@ def test_a_process_that_dies_of_a_stream_leaves_the_run_going(tmp_path, monkeypa
         frames = stream_frames(f"tcp://127.0.0.1:{port}", False, MOST)
         next(frames)
         os.kill(started[0].pid, signal.SIGKILL)
-        with pytest.raises(InputError, match="the process that decodes it has ended"):
-            list(frames)
+        assert "the process that decodes it has ended" in complaint(list, frames)
     assert started[0].returncode is not None
 
 

@@ -10,16 +10,13 @@ import pytest
 from small_recording import small_recording
 from test_live_markers import packet
 from test_live_network import Line
-from test_live_run import Standing, small_setup
+from test_live_run import Standing, packets_of, small_setup
 
 import jaxmocap.pipelines.live.loop
 from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.capture.streams.stream_clock import RATE_WINDOW_S, RATE_WINDOWS, StreamClock
-from jaxmocap.outputs.senders.osc import Bundle
-from jaxmocap.outputs.senders.unity import to_unity
 from jaxmocap.pipelines.live.loop import MIN_SAMPLES, Live, ReachState
 from jaxmocap.pipelines.live.status import LiveStatus
-from jaxmocap.pipelines.live.stream_states import stream_states
 
 FOUND_WITHIN_S = (RATE_WINDOWS + 0.5) * RATE_WINDOW_S
 ARRIVALS = np.arange(0, 30, 1 / 90)
@@ -79,8 +76,7 @@ def test_a_fast_clock_is_reported_once_and_in_one_sentence():
     line, status = Line(), LiveStatus(StringIO())
     for at in ARRIVALS:
         line.bring(packet(0.0, at=at, stamp=10 * at), packet(0.0, 5001, at=at, stamp=at))
-        for of, state in stream_states(line.socket, line.gathers, [], at):
-            status.set_state(at, of, state)
+        line.report_to(status)
     lines = [each for each in status.messages if "clock" in each.what]
     assert [each.what for each in lines] == [
         "the sender's clock: runs 10 times as fast as this machine's; its stamps are not used"
@@ -96,9 +92,7 @@ def test_a_head_that_jumps_is_reported_while_it_runs(tmp_path, monkeypatch):
     monkeypatch.setattr(jaxmocap.pipelines.live.loop, "LiveTracking", Standing)
     status, recording = LiveStatus(StringIO()), small_recording()
     live = Live(small_setup(tmp_path), status=status)
-    names = recording.marker_names
-    bundle = Bundle([("/VMC/Ext/Tra/Pos", [name, *[0.0] * 7]) for name in names])
-    turns = np.tile([0.0, 0, 0, 1], (len(names), 1))
+    names, packet_of = recording.marker_names, packets_of(recording.marker_names)
     stop = threading.Event()
 
     def found() -> list[str]:
@@ -108,9 +102,9 @@ def test_a_head_that_jumps_is_reported_while_it_runs(tmp_path, monkeypatch):
         sender, i = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), 0
         # A busy machine drops some of them.
         while not found() and not stop.is_set() and (i := i + 1):
-            points = to_unity(recording.positions_world[i % len(recording.times)])
-            points[0] += [0.0, 0.0, 90.0 if i % 50 == 49 else 0.0]
-            sender.sendto(bundle.filled(np.hstack([points, turns])), tuple(live.address))
+            points = recording.positions_world[i % len(recording.times)].copy()
+            points[0] += [90.0 if i % 50 == 49 else 0.0, 0.0, 0.0]
+            sender.sendto(packet_of(points), tuple(live.address))
             time.sleep(1 / 400)
         stop.set()
 

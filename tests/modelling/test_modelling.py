@@ -149,14 +149,17 @@ def test_rings_become_a_watertight_mesh_of_the_right_volume():
         assert volume(mesh.vertices, mesh.faces) == pytest.approx(mesh.volume)
 
 
+def true_views(rig) -> dict[str, PhotographView]:
+    """A person's true silhouettes in all photographs."""
+    masks = {name: true_person_mask(rig, name) for name in PHOTOGRAPHS}
+    return {name: PhotographView(mask, camera_of(rig, name)) for name, mask in masks.items()}
+
+
 @pytest.fixture(scope="module", params=["short_woman", "broad_man"])
 def subject(request, recordings):
     """A person as they stand, and their model from true silhouettes."""
     rig = load_rig(recordings / "person" / "person.npz", request.param)
-    views = {
-        name: PhotographView(true_person_mask(rig, name), camera_of(rig, name))
-        for name in PHOTOGRAPHS
-    }
+    views = true_views(rig)
     return rig, views, person_model(views)
 
 
@@ -203,36 +206,37 @@ def test_bones_are_as_long_as_they_are(subject):
     assert np.mean(np.abs(off)) < 0.012 and np.abs(off).max() < 0.02
 
 
+def check_sizes(pairs) -> None:
+    """Pairs of sections as they are found and as they are: metres of width and depth, and girth."""
+    off = np.abs(
+        [
+            (found.width - true.width, found.depth - true.depth, found.girth / true.girth - 1)
+            for found, true in pairs
+        ]
+    )
+    assert off[:, :2].mean() < 0.01 and off[:, :2].max() < 0.02
+    assert off[:, 2].mean() < 0.03 and off[:, 2].max() < 0.06
+
+
 def test_the_trunk_is_as_wide_deep_and_stout_as_it_is(subject):
     rig, _, model = subject
     body, rings = MeasuredPerson.of(person_in_stance(rig, "front")), model.trunk.rings
     levels = rings[:, 0, 2]
     low, pits = levels[0], model.trunk.pits[:, 2].mean()
-    off = []
-    for share in np.linspace(0.1, 0.9, 7):
-        k = int(np.argmin(np.abs(levels - low - share * (pits - low))))
-        truth, actual = body.trunk(levels[k]), tape_measure(rings[k][:, [1, 0]])
-        off.append(
-            (actual.width - truth.width, actual.depth - truth.depth, actual.girth / truth.girth - 1)
-        )
-    off = np.abs(off)
-    assert off[:, :2].mean() < 0.01 and off[:, :2].max() < 0.02
-    assert off[:, 2].mean() < 0.03 and off[:, 2].max() < 0.06
+    shares = np.linspace(0.1, 0.9, 7)
+    at = [int(np.argmin(np.abs(levels - low - share * (pits - low)))) for share in shares]
+    check_sizes([(tape_measure(rings[k][:, [1, 0]]), body.trunk(levels[k])) for k in at])
 
 
 def test_arms_are_as_thick_as_they_are(subject):
     rig, _, model = subject
-    body, off = MeasuredPerson.of(person_in_stance(rig, "front")), []
+    body, pairs = MeasuredPerson.of(person_in_stance(rig, "front")), []
     for rings, side in zip(model.arms, "lr", strict=True):
         for bone, first in (("humerus", 0), ("radius", SLICES[0])):
             for share in (0.375, 0.5, 0.75):
                 k = INNER_RINGS + first + round(share * SLICES[0])
-                truth, actual = body.arm(bone, side, share), tape_measure(rings[k][:, [2, 0]])
-                off.append([actual.width - truth.width, actual.depth - truth.depth,
-                            actual.girth / truth.girth - 1])  # fmt: skip
-    off = np.abs(off)
-    assert off[:, :2].mean() < 0.01 and off[:, :2].max() < 0.02
-    assert off[:, 2].mean() < 0.03 and off[:, 2].max() < 0.06
+                pairs.append((tape_measure(rings[k][:, [2, 0]]), body.arm(bone, side, share)))
+    check_sizes(pairs)
 
 
 def test_every_patch_of_the_surface_is_watertight_and_arms_begin_within_the_trunk(subject):
@@ -247,11 +251,7 @@ def test_every_patch_of_the_surface_is_watertight_and_arms_begin_within_the_trun
 
 
 def test_a_view_of_another_stance_is_refused_by_its_name(recordings):
-    rig = load_rig(recordings / "person" / "person.npz", "slim_woman")
-    views = {
-        name: PhotographView(true_person_mask(rig, name), camera_of(rig, name))
-        for name in PHOTOGRAPHS
-    }
+    views = true_views(load_rig(recordings / "person" / "person.npz", "slim_woman"))
     for name, other in (("front", "joint"), ("joint", "arm_side"), ("arm_side", "joint")):
         with pytest.raises(StanceError) as caught:
             person_model(views | {name: views[other]})

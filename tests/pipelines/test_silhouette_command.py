@@ -44,17 +44,6 @@ def changed(folder, old: str, new: str):
     return path
 
 
-def message_of(capsys, *arguments: str) -> str:
-    """The one sentence on stderr of a command that must end with 2."""
-    try:
-        code = main(["silhouette", *map(str, arguments)])
-    except SystemExit as left:
-        code = left.code
-    error = capsys.readouterr().err
-    assert code == 2 and "Traceback" not in error
-    return error.splitlines()[-1]
-
-
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
@@ -65,54 +54,43 @@ def message_of(capsys, *arguments: str) -> str:
     ],
 )
 def test_a_recording_whose_videos_do_not_fit_is_refused(
-    folder, tmp_path, capsys, old, new, expected
+    folder, tmp_path, refusal, old, new, expected
 ):
-    path = changed(folder, old, new)
-    assert expected in message_of(capsys, "track", path, "--out", tmp_path, "--at", "0,0,0")
+    given = ["--out", tmp_path, "--at", "0,0,0"]
+    assert expected in refusal("silhouette", "track", changed(folder, old, new), *given)
 
 
-def test_a_recording_without_markers_and_video_is_none(folder, tmp_path, capsys):
+def test_a_recording_without_markers_and_video_is_none(folder, tmp_path, refusal):
     path = folder / "none.toml"
     path.write_text("[subject]\nheight = 1.75\n")
-    sentence = message_of(capsys, "track", path, "--out", tmp_path, "--at", "0,0,0")
+    sentence = refusal("silhouette", "track", path, "--out", tmp_path, "--at", "0,0,0")
     assert "none.toml: neither [markers] nor [[video]]" in sentence
-
-
-def test_a_camera_that_the_recording_does_not_have_is_named_with_those_that_it_has(
-    folder, tmp_path, capsys
-):
-    given = [folder / "recording.toml", "--out", tmp_path, "--cameras", "left,top"]
-    assert "no [[video]] of camera 'top', found left, right" in message_of(capsys, "track", *given)
-
-
-@pytest.mark.parametrize("at", ["here", "1,2", "1,2,nan", "1,inf,0", "1,2,3,4", ""])
-def test_a_place_that_is_none_is_refused(folder, tmp_path, capsys, at):
-    given = [folder / "recording.toml", "--out", tmp_path, f"--at={at}"]
-    assert f"--at: found {at!r}, expected X,Y,FACING" in message_of(capsys, "track", *given)
-
-
-def test_lengths_are_found_by_more_than_one_pass(folder, tmp_path, capsys):
-    given = [folder / "recording.toml", "--out", tmp_path, "--lengths", "--once"]
-    assert "argument --once: not allowed with argument --lengths" in message_of(
-        capsys, "track", *given
-    )
 
 
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        (
-            ("--model-file", "arms"),
-            "invalid choice: 'arms' (choose from 'torso', 'legs', 'whole', ",
+        ("--cameras=left,top", "no [[video]] of camera 'top', found left, right"),
+        *(
+            (f"--at={at}", f"--at: found {at!r}, expected X,Y,FACING")
+            for at in ("here", "1,2", "-1,2", "1,2,nan", "1,inf,0", "1,2,3,4", "")
         ),
-        (("--model-file", "legs", "--shoulders"), "--shoulders: the body has no joints of the "),
+        ("--at=-80,30,0", "x = -80.00, y = 30.00 m, where no camera looks"),
+        ("--at=-80,30,0", "left, right"),
+        ("--lengths --once", "argument --once: not allowed with argument --lengths"),
+        ("--at=0,0,0 --model-file=arms", "'arms' (choose from 'torso', 'legs', 'whole', "),
+        (
+            "--at=0,0,0 --model-file=legs --shoulders",
+            "--shoulders: the body has no joints of the ",
+        ),
     ],
 )
-def test_a_body_that_there_is_not_or_without_shoulders_is_refused(
-    folder, tmp_path, capsys, given, expected
+def test_what_cannot_be_is_refused_before_anything_is_tracked(
+    folder, tmp_path, refusal, given, expected
 ):
-    asked = [folder / "recording.toml", "--at", "0,0,0", "--out", tmp_path, *given]
-    assert expected in message_of(capsys, "track", *asked)
+    recording = folder / "recording.toml"
+    message = refusal("silhouette", "track", recording, "--out", tmp_path, *given.split())
+    assert expected in message
 
 
 SWELLS = """[[swelling]]
@@ -153,20 +131,11 @@ def test_settings_are_those_asked_for(folder, tmp_path, monkeypatch, given, coun
     assert asked["settings"].starting_cycles
 
 
-def test_a_place_at_which_no_camera_looks_is_refused_before_anything_is_tracked(
-    folder, tmp_path, capsys
-):
-    given = [folder / "recording.toml", "--out", tmp_path, "--at", "-80,30,0"]
-    sentence = message_of(capsys, "track", *given)
-    assert "x = -80.00, y = 30.00 m, where no camera looks" in sentence
-    assert "left, right" in sentence
-
-
-def test_nothing_is_written_into_a_file(folder, tmp_path, capsys):
+def test_nothing_is_written_into_a_file(folder, tmp_path, refusal):
     taken = tmp_path / "taken"
     taken.write_text("mine")
     given = [folder / "recording.toml", "--out", taken, "--at", "0,0,0"]
-    assert "is a file" in message_of(capsys, "track", *given)
+    assert "is a file" in refusal("silhouette", "track", *given)
     assert taken.read_text() == "mine"
 
 
@@ -193,11 +162,16 @@ def test_a_recording_that_shows_nobody_is_refused(folder):
         (["--exercise", "dancing"], "invalid choice: 'dancing'"),
     ],
 )
-def test_a_demo_of_nobody_or_no_time_is_refused(
+def test_a_demo_of_nobody_or_no_time_is_refused_below_its_progress(
     folder, tmp_path, monkeypatch, capsys, given, expected
 ):
     monkeypatch.chdir(folder)
-    assert expected in message_of(capsys, "demo", "--out", tmp_path / "demo", *given)
+    try:
+        code = main(["silhouette", "demo", "--out", str(tmp_path / "demo"), *given])
+    except SystemExit as left:
+        code = left.code
+    error = capsys.readouterr().err
+    assert code == 2 and "Traceback" not in error and expected in error.splitlines()[-1]
 
 
 class RecordedError(Exception):

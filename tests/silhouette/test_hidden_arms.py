@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from test_lost_limbs import LIKELIHOOD, begun, four_cameras, plain_walls
-from test_rim import BODY
+from test_rim import BODY, bent
 from test_silhouette_tracker import SMALL, WALL
 
 from jaxmocap.body.kinematics import forward
-from jaxmocap.body.pose import Pose, relaxed_pose, retract
+from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import posed
@@ -41,11 +41,7 @@ def standing(**degrees: float) -> Pose:
     """Facing the first camera, which sees nothing but hands of arms stretched towards it."""
     step = np.zeros(BODY.costs.shape, np.float32)
     step[5] = 0.4
-    pose = retract(relaxed_pose(BODY), jnp.asarray(step))
-    angles = np.array(pose.angles)
-    for name, angle in degrees.items():
-        angles[BODY.tree.joint(name)] = np.radians(angle)
-    return pose._replace(angles=jnp.asarray(angles))
+    return retract(bent(**degrees), jnp.asarray(step))
 
 
 HANGING = standing()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_rim import BODY, ring
+from test_rim import BODY, bent, ring
 from test_silhouette_tracker import SMALL, WALL, painted, with_settings
 
 from jaxmocap.body.pose import relaxed_pose, retract
@@ -55,13 +55,6 @@ def lifted(degrees: float):
     step = np.zeros(BODY.costs.shape, np.float32)
     step[ROOT_DOF + BODY.tree.joint("arm_abduct_l")] = np.radians(degrees)
     return retract(relaxed_pose(BODY), jnp.asarray(step))
-
-
-def bent(degrees: float):
-    """The relaxed pose, the left elbow bent so far."""
-    pose = relaxed_pose(BODY)
-    joint = BODY.tree.joint("elbow_flex_l")
-    return pose._replace(angles=pose.angles.at[joint].set(np.radians(degrees)))
 
 
 def four_cameras() -> SilhouetteTracker:
@@ -203,11 +196,13 @@ def test_a_forearm_laid_over_its_upper_arm_explains_nothing_twice(tracker):
     limb = limb_chains(BODY, surface)["arm_l"]
     upper = carriers(surface.points) == limb.bones[0]
     region = Region(np.full((4, 2), -0.5, np.float32), np.full(4, 8.0, np.float32))
-    pixels = np.asarray(body_pixels(BODY, bent(0.0), cameras, surface.points)[0])[:, upper]
+    pixels = np.asarray(body_pixels(BODY, bent(elbow_flex_l=0.0), cameras, surface.points)[0])[
+        :, upper
+    ]
     shown = [covered_cells(at, Region(*r), 128, 0) for at, *r in zip(pixels, *region, strict=True)]
     evidence = LimbEvidence(np.stack(shown).astype(np.float32), region, np.ones(4, bool))
     straight, folded = (
-        float(EXPLAINED(BODY, cameras, bent(degrees), limb, evidence, LIKELIHOOD))
+        float(EXPLAINED(BODY, cameras, bent(elbow_flex_l=degrees), limb, evidence, LIKELIHOOD))
         for degrees in (0.0, 150.0)
     )
     assert straight > 0.1 and folded < 1.2 * straight

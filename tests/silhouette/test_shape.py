@@ -81,20 +81,25 @@ def test_contours_of_a_stouter_body_tell_how_much_stouter(camera_pairs):
 def camera_pairs():
     """What one frame measures: nodes of a body in a bent pose, and where a stouter one's appear."""
     rng = np.random.default_rng(2)
-    cameras, pose = stack_cameras(ring(2)), relaxed_pose(BODY)
+    pose = relaxed_pose(BODY)
     angles = np.asarray(pose.angles) + rng.uniform(-0.1, 0.1, len(pose.angles))
     pose = pose._replace(angles=jnp.asarray(angles, jnp.float32))
     amounts = 0.002 * rng.standard_normal(len(FIELDS.names))
     stout = reshaped(SURFACE, FIELDS, amounts)
-    nodes = rng.integers(0, len(FIELDS.moves), (2, 300))
-    every = PROJECT(cameras, POSED(FORWARD(BODY, pose), stout.points))
+    return *measured_shape(rng, pose, (BODY, stout)), amounts
+
+
+def measured_shape(rng, pose, shown, **lengths):
+    """Normal equations of our shape by the contours of another skeleton and surface."""
+    cameras, nodes = stack_cameras(ring(2)), rng.integers(0, len(FIELDS.moves), (2, 300))
+    every = PROJECT(cameras, POSED(FORWARD(shown[0], pose), shown[1].points))
     pixels = np.stack([np.asarray(every)[camera, nodes[camera]] for camera in range(2)])
     turns = rng.uniform(0, 2 * np.pi, nodes.shape)
     normals = np.stack([np.cos(turns), np.sin(turns)], -1).astype(np.float32)
     points = BodyPoints(*(np.asarray(part)[nodes.ravel()] for part in SURFACE.points))
     pairs = ContourPairs(points, pixels, normals, np.ones(nodes.shape, np.float32))
-    H, slope = shape_equations(BODY, cameras, pose, pairs, FIELDS.moves[nodes.ravel()])
-    return np.asarray(H, float), np.asarray(slope, float), amounts
+    H, slope = shape_equations(BODY, cameras, pose, pairs, FIELDS.moves[nodes.ravel()], **lengths)
+    return np.asarray(H, float), np.asarray(slope, float)
 
 
 LOGARITHMS = np.linspace(-0.02, 0.03, len(LENGTHS))
@@ -130,17 +135,8 @@ def test_a_stretched_body_lies_about_its_longer_bones_as_it_lay_about_the_shorte
 
 
 def test_contours_of_a_body_with_longer_bones_tell_how_much_longer(taller):
-    rng, cameras, pose = np.random.default_rng(4), stack_cameras(ring(2)), relaxed_pose(BODY)
-    nodes = rng.integers(0, len(FIELDS.moves), (2, 300))
-    every = PROJECT(cameras, POSED(FORWARD(taller[0], pose), taller[1].points))
-    pixels = np.stack([np.asarray(every)[camera, nodes[camera]] for camera in range(2)])
-    turns = rng.uniform(0, 2 * np.pi, nodes.shape)
-    normals = np.stack([np.cos(turns), np.sin(turns)], -1).astype(np.float32)
-    points = BodyPoints(*(np.asarray(part)[nodes.ravel()] for part in SURFACE.points))
-    pairs = ContourPairs(points, pixels, normals, np.ones(nodes.shape, np.float32))
-    moves = FIELDS.moves[nodes.ravel()]
-    H, slope = shape_equations(BODY, cameras, pose, pairs, moves, lengths=len(LENGTHS))
-    H, slope = np.asarray(H, float), np.asarray(slope, float)
+    rng, pose = np.random.default_rng(4), relaxed_pose(BODY)
+    H, slope = measured_shape(rng, pose, taller, lengths=len(LENGTHS))
     amounts = np.zeros(len(slope))
     amounts[-len(LENGTHS) :] = LOGARITHMS
     expected = -H @ amounts

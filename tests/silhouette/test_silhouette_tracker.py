@@ -5,13 +5,12 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import complaint
 from test_rim import BODY, ring
 
 from jaxmocap.body.pose import relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.cli.program import main
-from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.canvases import full_mask, silhouette_distance
 from jaxmocap.images.regions import Region
@@ -230,11 +229,7 @@ def test_a_room_is_learned_from_first_frames_but_about_the_person_and_there_once
     assert (room.certainty == 1).all()
 
 
-def test_a_start_needs_markers_or_a_place(tmp_path, capsys):
-    with pytest.raises(SystemExit) as left:
-        main(["silhouette", "track", "r.toml", "--out", str(tmp_path), "--at", "-1,2"])
-    assert left.value.code == 2 and "expected X,Y,FACING" in capsys.readouterr().err
+def test_a_start_needs_markers_or_a_place():
     empty = Recording(Skeleton.human(1.75), np.zeros(0), np.zeros((0, 0, 3)), ())
-    with pytest.raises(InputError, match="expected --at X,Y,FACING"):
-        start_pose(empty)
+    assert "expected --at X,Y,FACING" in complaint(start_pose, empty)
     assert np.asarray(start_pose(empty, (1.0, 2.0, 0.0)).position)[0] == pytest.approx(1.0)

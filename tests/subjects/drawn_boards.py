@@ -116,20 +116,15 @@ HELD_BEFORE_FISHEYE = (
 )
 
 
-def views(board: Board = BOARD) -> list[np.ndarray]:
-    """T_cam_board of each of HELD."""
-    return [held(board, a, b, c, at) for a, b, c, at in HELD]
-
-
-def views_of_fisheye(board: Board = BOARD) -> list[np.ndarray]:
-    """T_cam_board of each of HELD_BEFORE_FISHEYE."""
-    return [held(board, a, b, c, at) for a, b, c, at in HELD_BEFORE_FISHEYE]
+def views(board: Board = BOARD, fisheye: bool = False) -> list[np.ndarray]:
+    """T_cam_board of each of HELD, or of HELD_BEFORE_FISHEYE."""
+    return [held(board, *each) for each in (HELD_BEFORE_FISHEYE if fisheye else HELD)]
 
 
 def write_views(folder: Path, board: Board = BOARD, fisheye: bool = False) -> list[str]:
     """Photographs ``view_1.png`` and so on; their paths."""
     paths = []
-    for i, T_cam_board in enumerate(views_of_fisheye(board) if fisheye else views(board), 1):
+    for i, T_cam_board in enumerate(views(board, fisheye), 1):
         path = folder / f"view_{i}.png"
         cv2.imwrite(str(path), draw(board, T_cam_board, seed=i, fisheye=fisheye))
         paths.append(str(path))
