@@ -23,7 +23,7 @@ from jaxmocap.formats.files.arrays import INTEGERS, NAMES, TEXT, ArraySpec, NpzA
 from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.json_text import parse_json
 from jaxmocap.formats.files.writing import replacing
-from jaxmocap.formats.time_series.tables import check_times
+from jaxmocap.formats.time_series.tables import FARTHEST_M, check_times
 
 VERSION = 2
 # What a file holds of the skeleton; the rest follows from the joints' names.
@@ -43,9 +43,7 @@ _TREE_FIELDS = ("bones", "parents", "joints", "dof_bones")
 _REPORT_FIELDS = ("marker_errors", "arm_costs", "swivels", "landmarks_std", "from_prior")
 _STAGE_PREFIX = "milliseconds."
 
-# Beyond these no number is a person's: metres from the origin, metres of a bone, kilograms,
-# radians, seconds.
-_FARTHEST_M = 1e7
+# Beyond these no number is a person's: metres of a bone, kilograms, radians, seconds.
 _LONGEST_M = 10.0
 _HEAVIEST_KG = 1e4
 _LARGEST_RAD = 1e6
@@ -76,7 +74,7 @@ _TREE_SPECS = {
 }
 _POSE_SPECS = {
     "times": ArraySpec(("T",), low=-_LATEST_S, high=_LATEST_S),
-    "pose.position": ArraySpec(("T", 3), low=-_FARTHEST_M, high=_FARTHEST_M, allow_nan=True),
+    "pose.position": ArraySpec(("T", 3), low=-FARTHEST_M, high=FARTHEST_M, allow_nan=True),
     "pose.quaternion": ArraySpec(
         ("T", 4), low=-1 - _UNIT_TOLERANCE, high=1 + _UNIT_TOLERANCE, allow_nan=True
     ),

@@ -16,7 +16,7 @@ from jaxmocap.formats.animation.glb import Accessors, read_document
 from jaxmocap.formats.animation.json_parts import JsonPart
 from jaxmocap.formats.armatures.armature import MAX_DEPTH, MAX_JOINTS, MAX_ROTATIONS, Armature
 from jaxmocap.formats.files.errors import InputError, comma_list, short_name
-from jaxmocap.formats.time_series.tables import LATEST_S
+from jaxmocap.formats.time_series.tables import FARTHEST_M, LATEST_S
 
 # Joints other than the root may not slide by more than this, metres.
 MAX_SLIDE_M = 1e-3
@@ -24,8 +24,7 @@ MAX_SLIDE_M = 1e-3
 MAX_SCALE_ERROR = 1e-3
 # Times of different channels that differ by less are one, seconds: float32 has no more.
 SAME_TIME_S = 1e-5
-# From a joint to the next, metres; nodes of a document.
-_FARTHEST_M = 1e7
+# Nodes of a document.
 _MAX_NODES = 100_000
 # A matrix may differ from a rotation by this, as files round.
 _MAX_SHEAR = 1e-2
@@ -61,7 +60,7 @@ def read_gltf(path: str | Path) -> Armature:
     offsets, positions, R = _joint_motion(accessors, nodes, joints, parents, curves, times)
     extras = animation["extras"]
     start = extras["start"].number(LATEST_S) if extras.has("start") else 0.0
-    origin = extras["origin"].numbers(3, _FARTHEST_M) if extras.has("origin") else np.zeros(3)
+    origin = extras["origin"].numbers(3, FARTHEST_M) if extras.has("origin") else np.zeros(3)
     return Armature(names, parents, offsets, times + start, positions + origin, R)
 
 
@@ -218,7 +217,7 @@ def _name(node: JsonPart) -> str:
 def _rest_pose(node: JsonPart) -> tuple[np.ndarray, np.ndarray]:
     """A node's own position and rotation (3, 3); InputError where it is scaled."""
     if node.has("matrix"):
-        matrix = node["matrix"].numbers(16, _FARTHEST_M).reshape(4, 4).T
+        matrix = node["matrix"].numbers(16, FARTHEST_M).reshape(4, 4).T
         R, position = matrix[:3, :3], matrix[:3, 3]
         scale = np.linalg.norm(R, axis=0)
     else:
@@ -226,7 +225,7 @@ def _rest_pose(node: JsonPart) -> tuple[np.ndarray, np.ndarray]:
         if np.linalg.norm(quaternion) < _MIN_QUATERNION_LENGTH:
             raise node["rotation"].error("found a quaternion of length 0, expected 1")
         R = Rotation.from_quat(quaternion).as_matrix()
-        position = node["translation"].numbers(3, _FARTHEST_M, (0, 0, 0))
+        position = node["translation"].numbers(3, FARTHEST_M, (0, 0, 0))
         scale = node["scale"].numbers(3, 1e6, (1, 1, 1))
     if np.abs(scale - 1).max() > MAX_SCALE_ERROR:
         raise node.error(f"joint {_name(node)} is scaled, which is not read")
@@ -242,8 +241,8 @@ def _positions_at(
     if curve is None:
         return np.tile(rest, (len(times), 1))
     values = curve.values(accessors, 3)
-    if np.abs(values).max() > _FARTHEST_M:
-        raise curve.part.error(f"found a joint farther than {_FARTHEST_M:g} m from its parent")
+    if np.abs(values).max() > FARTHEST_M:
+        raise curve.part.error(f"found a joint farther than {FARTHEST_M:g} m from its parent")
     if curve.is_step:
         return values[_last_key(curve.times, times)]
     return np.stack([np.interp(times, curve.times, column) for column in values.T], 1)

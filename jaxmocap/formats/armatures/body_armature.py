@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.motion import Motion, near_origin
-from jaxmocap.body.orientations import body_turns, local_turns, matrices
+from jaxmocap.body.orientations import body_turns, local_turns, matrices, quaternions
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, with_wrists
 from jaxmocap.compilation.arrays import on_device
@@ -148,9 +148,8 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
         skeleton = with_wrists(skeleton)
         angles = _angles(skeleton, armature, index, path)
     is_valid = armature.is_valid[:, None]
-    root = np.where(is_valid[..., None], armature.rotations[:][:, index[PELVIS]], np.eye(3))
-    quaternion = Rotation.from_matrix(root).as_quat(scalar_first=True)
-    parts = [armature.positions, quaternion, angles]
+    root = quaternions(armature.rotations[:][:, index[PELVIS]])
+    parts = [armature.positions, root, angles]
     parts_or_nan: list[Any] = [np.where(is_valid, part, np.nan) for part in parts]
     return near_origin(Motion(skeleton, armature.times, Pose(*parts_or_nan)))
 

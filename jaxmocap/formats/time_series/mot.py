@@ -172,7 +172,6 @@ def motion_from_angles(
     R_world_pelvis = Rotation.from_euler(
         _EULER_ORDER, np.where(is_finite[:, None], table[:, 3:6], 0.0)
     )
-    quaternion = R_world_pelvis.as_quat(scalar_first=True)
-    quaternion = np.where(is_finite[:, None], quaternion, np.nan)
-    parts: list[Any] = [table[:, :3], quaternion, table[:, 6:]]
+    turned = np.where(is_finite[:, None], R_world_pelvis.as_quat(scalar_first=True), np.nan)
+    parts: list[Any] = [table[:, :3], turned, table[:, 6:]]
     return near_origin(Motion(skeleton, times, Pose(*parts)))
