@@ -17,6 +17,7 @@ from jaxmocap.calibration.planar_poses import (
     CameraPose,
     candidate_poses,
     relative_thickness,
+    rms_length,
 )
 from jaxmocap.formats.cameras.calibration import Intrinsics
 
@@ -62,7 +63,7 @@ class Placement:
     @property
     def rms(self) -> float:
         """Root mean square residual of the points used, pixels."""
-        return float(np.sqrt((self.residuals_xy[self.used] ** 2).sum(-1).mean()))
+        return rms_length(self.residuals_xy[self.used])
 
     @property
     def position_world(self) -> np.ndarray:

@@ -26,13 +26,7 @@ from jaxmocap.formats.time_series.markers import read_markers
 
 BY_HEIGHT = "by height"
 # Bones -> landmarks between which they are measured, "hips" being the middle of the hips.
-_BONE_ENDS: dict[str, tuple[str, str]] = {
-    "spine1": ("hips", "neck"),
-    "spine2": ("hips", "neck"),
-    "spine3": ("hips", "neck"),
-    "neck": ("neck", "vertex"),
-    "head": ("neck", "vertex"),
-}
+_BONE_ENDS = dict.fromkeys(TRUNK, ("hips", "neck")) | dict.fromkeys(NECK_HEAD, ("neck", "vertex"))
 _LIMB_ENDS = {
     "clavicle": ("neck", "shoulder_{}"),
     "humerus": ("shoulder_{}", "elbow_{}"),

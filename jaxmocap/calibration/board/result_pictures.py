@@ -19,7 +19,7 @@ from jaxmocap.calibration.intrinsics import BoardView, IntrinsicsEstimate
 from jaxmocap.calibration.planar_poses import CameraPose, tilt_degrees
 from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.formats.files.output_folder import OutputFolder
-from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.files.writing import write_bytes
 
 # BGR.
 DETECTED_COLOUR = (90, 230, 90)
@@ -145,10 +145,8 @@ def draw_coverage(
 
 def write_annotated(path: Path, picture: AnnotatedPicture) -> Path:
     """Write a JPEG file; its path."""
-    with replacing(path) as temporary:
-        temporary.write_bytes(
-            cv2.imencode(".jpg", picture.image, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
-        )
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 92]
+    write_bytes(path, cv2.imencode(".jpg", picture.image, quality)[1].tobytes())
     return path
 
 
