@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.calibration.board.opencv_lenses import pose_jacobian, project_points
+from jaxmocap.calibration.board.opencv_lenses import project_points
 from jaxmocap.calibration.planar_poses import (
     FLAT_THICKNESS,
     CameraPose,
@@ -124,7 +124,7 @@ def estimate_placement(
             "board or the points fill too little of the picture, or lie square to the view"
         )
     warnings += _implausibility_warnings(best.matrix, upside_down)
-    residuals_xy = project_points(points_world, best.rvec, best.tvec, lens) - pixels_xy
+    residuals_xy = project_points(points_world, best.rvec, best.tvec, lens)[0] - pixels_xy
     result = Placement(best.matrix, residuals_xy, used, std_m, std_deg, warnings=tuple(warnings))
     if mirrored is None:
         return result
@@ -231,7 +231,7 @@ def _deviations(
     pose: CameraPose, points_world: np.ndarray, lens: Intrinsics
 ) -> tuple[np.ndarray, float]:
     """Standard deviations of place (3,), metres, and direction, degrees, from the residuals."""
-    J = pose_jacobian(points_world, pose.rvec, pose.tvec, lens)
+    _, J = project_points(points_world, pose.rvec, pose.tvec, lens)
     freedom = max(1, J.shape[0] - 6)
     covariance = np.linalg.pinv(J.T @ J) * (pose.residuals_xy**2).sum() / freedom
     steps, here = 1e-6 * np.eye(6), np.concatenate([pose.rvec, pose.tvec])

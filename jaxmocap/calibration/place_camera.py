@@ -138,8 +138,7 @@ def place_camera(
         board = None
         if target.board is not None and T_world_board is not None:
             board = target.board, T_world_board
-        draw = partial(draw_placement, picture, lens, placement, pixels_xy, board)
-        drawings = folder.write(lambda stage: [draw(stage)])
+        drawings = folder.write(partial(draw_placement, picture, lens, placement, pixels_xy, board))
     advice = "are the points in the world's axes (Z up, or --up y), and pixels unmirrored?"
     if T_world_board is not None:
         advice = advice_on_board_pose(placement.T_cam_world, T_world_board, upside_down)

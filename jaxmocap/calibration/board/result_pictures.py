@@ -107,7 +107,7 @@ class AnnotatedPicture:
         if ((tips @ T_cam_frame[2, :3]) + T_cam_frame[2, 3] <= 0.05).any():
             return
         rvec, _ = cv2.Rodrigues(T_cam_frame[:3, :3])
-        origin, *ends = project_points(tips, rvec, T_cam_frame[:3, 3], lens)
+        origin, *ends = project_points(tips, rvec, T_cam_frame[:3, 3], lens)[0]
         for end, (axis, colour) in zip(ends, AXIS_COLOURS.items(), strict=True):
             self.line(origin, end, colour, 3)
             self.text(axis, end + 6, WHITE)
@@ -244,7 +244,7 @@ def draw_placement(
     pixels_xy: np.ndarray,
     board: tuple[Board, np.ndarray] | None,
     folder: str | Path,
-) -> Path:
+) -> list[Path]:
     """The photograph with what placed the camera, and the axes of the board and of the world.
 
     Args:
@@ -272,4 +272,4 @@ def draw_placement(
         canvas.residuals(pixels_xy[which], placement.residuals_xy[which], longer)
     if board is None or np.abs(board[1] - np.eye(4)).max() > 1e-6:
         canvas.axes(placement.T_cam_world, lens, _WORLD_AXES_M, "world")
-    return write_annotated(Path(folder) / f"{picture.path.stem}_placed.jpg", canvas)
+    return [write_annotated(Path(folder) / f"{picture.path.stem}_placed.jpg", canvas)]
