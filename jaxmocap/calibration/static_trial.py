@@ -75,7 +75,7 @@ class ScaledBody:
 
     def figures(self) -> dict:
         """The same for programs."""
-        bones, lengths = self.skeleton.tree.bones, np.asarray(self.skeleton.lengths, float)
+        bones, lengths = self.skeleton.tree.bones, self.skeleton.lengths
         return {
             "height_m": self.height,
             "mass_kg": float(self.skeleton.masses.sum()),
@@ -83,7 +83,7 @@ class ScaledBody:
                 bone: {
                     "length_m": float(length),
                     "measured": bone in self.measured_bones,
-                    "std_m": self.measured_bones[bone][0] if bone in self.measured_bones else None,
+                    "std_m": self.measured_bones.get(bone, (None, 0))[0],
                 }
                 for bone, length in zip(bones, lengths, strict=True)
             },
