@@ -100,7 +100,7 @@ def estimate_intrinsics(
     fit = _fit(kept, size, kind)
     poses = [_pose(view, fit.lens) for view in views]
     without = [_fit([*kept[:i], *kept[i + 1 :]], size, kind).values for i in range(len(kept))]
-    left_out = np.array(without) if len(kept) > 3 else np.tile(fit.values, (1, 1))
+    left_out = np.array(without) if len(kept) > 3 else fit.values[None]
     return IntrinsicsEstimate(
         kind.parameters,
         fit.lens,

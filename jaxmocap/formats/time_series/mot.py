@@ -50,11 +50,10 @@ def write_mot(path: str | Path, motion: Motion) -> list[str]:
     _, quaternion, angles = map(np.asarray, motion.poses)
     positions, count = motion.positions_world, len(motion.times)
 
-    def turns_of(rows: Index) -> np.ndarray:
-        return matrices(quaternion[rows].astype(float))[:, None]
-
     ranges = np.radians([(FREE, (-90, 90), FREE)])
-    R_world_pelvis = ComputedRows((count, 1, 3, 3), turns_of)
+    R_world_pelvis = ComputedRows(
+        (count, 1, 3, 3), lambda rows: matrices(quaternion[rows].astype(float))[:, None]
+    )
     turns = continuous_euler(R_world_pelvis, _EULER_ORDER, ranges, motion.times)[:, 0]
 
     def table(rows: Index) -> np.ndarray:
