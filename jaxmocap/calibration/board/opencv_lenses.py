@@ -190,7 +190,9 @@ def _fit_fisheye(
 ) -> LensFit:
     """OpenCV gives no deviations: they are of its own derivatives, by least squares."""
     held = [f"CALIB_FIX_K{i}" for i in range(kind.coefficients + 1, 5)]
-    flags = sum(_flag(name) for name in ("CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW", *held))
+    names = ("CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW", *held)
+    # OpenCV 4 has a fisheye's flags beside its functions, OpenCV 5 among all others.
+    flags = sum(getattr(cv2.fisheye, name, None) or getattr(cv2, name) for name in names)
     stop = cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, _FISHEYE_STEPS, _FISHEYE_PRECISION
     _, K, d, rvecs, tvecs = cv2.fisheye.calibrate(
         [part[None].astype(float) for part in points],
@@ -215,8 +217,3 @@ def _fit_fisheye(
     std = np.zeros(8)
     std[:free] = np.sqrt(variance * np.diag(np.linalg.pinv(A.T @ A))[:free])
     return LensFit(lens, float(np.sqrt(2 * np.mean(residuals**2))), values, std)
-
-
-def _flag(name: str) -> int:
-    """OpenCV 4 has a fisheye's flags beside its functions, OpenCV 5 among all others."""
-    return getattr(cv2.fisheye, name, None) or getattr(cv2, name)

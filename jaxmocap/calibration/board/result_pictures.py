@@ -15,8 +15,8 @@ from jaxmocap.calibration.board.finding import BoardDetections
 from jaxmocap.calibration.board.opencv_lenses import project_points
 from jaxmocap.calibration.board.pictures import Picture
 from jaxmocap.calibration.extrinsics import Placement
-from jaxmocap.calibration.intrinsics import BoardView, IntrinsicsEstimate
-from jaxmocap.calibration.planar_poses import CameraPose, tilt_degrees
+from jaxmocap.calibration.intrinsics import IntrinsicsEstimate
+from jaxmocap.calibration.planar_poses import tilt_degrees
 from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.files.writing import write_bytes
@@ -192,7 +192,17 @@ def draw_intrinsics(
     for number, picture in enumerate(detections.pictures, 1):
         canvas = _titled(detections, picture)
         if picture.name in results:
-            _draw_view(canvas, *results[picture.name], result.lens, detections.board, times)
+            view, pose, use = results[picture.name]
+            longer = times if use else 1
+            canvas.corners(view.pixels_xy)
+            if not use:
+                canvas.title("LEFT OUT: does not fit the other views")
+            canvas.title(LEGEND.format(longer))
+            if pose is not None:
+                canvas.title(f"{pose.rms:.2f} px RMS, tilt {tilt_degrees(pose):.0f} degrees")
+                canvas.residuals(view.pixels_xy, pose.residuals_xy, longer)
+                length = _BOARD_AXES_SQUARES * detections.board.square
+                canvas.axes(pose.matrix, result.lens, length, "origin")
         files.append(write_annotated(_file(folder, number, picture), canvas))
     used = [
         (view.pixels_xy, pose.residuals_xy) for view, pose, use in results.values() if use and pose
@@ -215,26 +225,6 @@ def _file(folder: str | Path, number: int, picture: Picture) -> Path:
     # Numbered, so that files of one name from several folders do not meet.
     stem = Path(picture.name).name.replace(picture.path.suffix, "").replace(" ", "_")
     return Path(folder) / f"{number:02d}_{stem}.jpg"
-
-
-def _draw_view(
-    canvas: AnnotatedPicture,
-    view: BoardView,
-    pose: CameraPose | None,
-    use: bool,
-    lens: Intrinsics,
-    board: Board,
-    times: int,
-) -> None:
-    canvas.corners(view.pixels_xy)
-    if not use:
-        times = 1
-        canvas.title("LEFT OUT: does not fit the other views")
-    canvas.title(LEGEND.format(times))
-    if pose is not None:
-        canvas.title(f"{pose.rms:.2f} px RMS, tilt {tilt_degrees(pose):.0f} degrees")
-        canvas.residuals(view.pixels_xy, pose.residuals_xy, times)
-        canvas.axes(pose.matrix, lens, _BOARD_AXES_SQUARES * board.square, "origin")
 
 
 def draw_placement(

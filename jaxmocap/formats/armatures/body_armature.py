@@ -157,7 +157,11 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
 def _angles(
     skeleton: Skeleton, armature: Armature, index: Mapping[str, int], path: str | Path
 ) -> np.ndarray:
-    """Angles (T, D), radians, by which the bones have the orientations of the armature's joints."""
+    """Angles (T, D), radians, by which the bones have the orientations of the armature's joints.
+
+    Raises:
+        InputError: our hinges do not turn a bone as the armature does.
+    """
     angles = np.zeros((len(armature.times), len(skeleton.tree.joints)))
     rest, rotations = rest_orientations(skeleton), armature.rotations[:]
     for bone, name in enumerate(skeleton.tree.bones):
@@ -167,24 +171,14 @@ def _angles(
             local = R_rest_parent.T @ rotations[:, index[name]] @ rest[bone]
             dofs = [d for d, carried in enumerate(skeleton.tree.dof_bones) if carried == bone]
             angles[:, dofs] = hinge_angles(skeleton, dofs, local)
-            _check_rotations(path, name, armature, local_turns(skeleton, angles)[:, bone], local)
+            # The angle between ours and the armature's; of unknown poses nothing is asked.
+            traces = np.einsum("tij,tij->t", local_turns(skeleton, angles)[:, bone], local)
+            off = np.nan_to_num(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
+            if off.max() > MAX_ROTATION_ERROR_RAD:
+                i = int(off.argmax())
+                problem = f"rotated {np.degrees(off[i]):.1f}° in a way that our joint cannot rotate"
+                raise InputError(path, f"{name} at {armature.times[i]:g} s: {problem}")
     return angles
-
-
-def _check_rotations(
-    path: str | Path, name: str, armature: Armature, R_ours: np.ndarray, R_armature: np.ndarray
-) -> None:
-    """InputError where our hinges do not turn a bone (T, 3, 3) as the armature does."""
-    # The angle between the two; of unknown poses nothing is asked.
-    traces = np.einsum("tij,tij->t", R_ours, R_armature)
-    angles = np.nan_to_num(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
-    if angles.max() > MAX_ROTATION_ERROR_RAD:
-        i = int(angles.argmax())
-        raise InputError(
-            path,
-            f"{name} at {armature.times[i]:g} s: rotated {np.degrees(angles[i]):.1f}° in a way "
-            "that our joint cannot rotate",
-        )
 
 
 def _skeleton_of(
