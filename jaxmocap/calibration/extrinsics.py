@@ -235,16 +235,10 @@ def _deviations(
     freedom = max(1, J.shape[0] - 6)
     covariance = np.linalg.pinv(J.T @ J) * (pose.residuals_xy**2).sum() / freedom
     steps, here = 1e-6 * np.eye(6), np.concatenate([pose.rvec, pose.tvec])
-    T = _matrix(here)
-    slopes = np.array([_change(T, _matrix(here + step)) for step in steps]).T / 1e-6
+    moved = [replace(pose, rvec=at[:3], tvec=at[3:]).matrix for at in here + steps]
+    slopes = np.array([_change(pose.matrix, T) for T in moved]).T / 1e-6
     std = np.sqrt(np.diag(slopes @ covariance @ slopes.T))
     return std[:3], float(np.degrees(std[3:].max()))
-
-
-def _matrix(vector: np.ndarray) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(vector[:3]).as_matrix(), vector[3:]
-    return T
 
 
 def _change(a: np.ndarray, b: np.ndarray) -> np.ndarray:
