@@ -60,20 +60,20 @@ def _parameters(estimate: IntrinsicsEstimate) -> list[str]:
 
 
 def intrinsics_figures(result: IntrinsicsResult) -> dict[str, Any]:
-    """The same as plain figures: pixels, degrees."""
+    """The same as figures, pixels, degrees; what is not finite has none."""
     estimate = result.estimate
     parameters = {
         name: {
-            "value": float(estimate.values[i]),
-            "std": float(estimate.std[i]),
-            "jackknife_std": float(estimate.jackknife_std[i]),
-            "left_out_min": float(estimate.leave_one_out[:, i].min()),
-            "left_out_max": float(estimate.leave_one_out[:, i].max()),
+            "value": estimate.values[i],
+            "std": estimate.std[i],
+            "jackknife_std": estimate.jackknife_std[i],
+            "left_out_min": estimate.leave_one_out[:, i].min(),
+            "left_out_max": estimate.leave_one_out[:, i].max(),
         }
         for i, name in enumerate(estimate.parameters)
     }
     pictures = [
-        {"name": name, "rms_px": _finite(error), "tilt_deg": _finite(tilt), "used": use}
+        {"name": name, "rms_px": error, "tilt_deg": tilt, "used": use}
         for name, error, tilt, use in result.rows()
     ]
     return {
@@ -84,13 +84,13 @@ def intrinsics_figures(result: IntrinsicsResult) -> dict[str, Any]:
         "pictures": pictures,
         "used": sum(estimate.used),
         "left_out": [name for name, _, _, use in result.rows() if not use],
-        "not_found": list(result.detections.not_found),
-        "repeated": list(result.detections.duplicates),
+        "not_found": result.detections.not_found,
+        "repeated": result.detections.duplicates,
         "parameters": parameters,
         "coverage_share": result.coverage.share,
-        "empty": list(result.coverage.empty),
-        "warnings": list(result.warnings),
-        "files": [str(path) for path in result.files],
+        "empty": result.coverage.empty,
+        "warnings": result.warnings,
+        "files": result.files,
     }
 
 
@@ -117,34 +117,29 @@ def extrinsics_text(result: ExtrinsicsResult) -> str:
 
 
 def extrinsics_figures(result: ExtrinsicsResult) -> dict[str, Any]:
-    """The same as plain figures: metres, degrees, pixels."""
-    placement = result.placement
-    mirrored = placement.mirrored
+    """The same as figures, metres, degrees, pixels; what is not finite has none."""
+    placement, mirrored = result.placement, result.placement.mirrored
     return {
         "camera": result.camera,
-        "position_m": placement.position_world.tolist(),
-        "looks_along": placement.T_cam_world[2, :3].tolist(),
-        "rotation": placement.rotation.tolist(),
-        "translation_m": placement.T_cam_world[:3, 3].tolist(),
+        "position_m": placement.position_world,
+        "looks_along": placement.T_cam_world[2, :3],
+        "rotation": placement.rotation,
+        "translation_m": placement.T_cam_world[:3, 3],
         "rms_px": placement.rms,
-        "position_std_m": placement.std_m.tolist(),
+        "position_std_m": placement.std_m,
         "direction_std_deg": placement.std_deg,
         "points": [
-            {"name": name, "error_px": float(np.linalg.norm(residual)), "used": bool(use)}
+            {"name": name, "error_px": np.linalg.norm(residual), "used": use}
             for name, residual, use in zip(
                 result.names, placement.residuals_xy, placement.used, strict=True
             )
         ],
-        "mirrored_position_m": None if mirrored is None else position_world_of(mirrored).tolist(),
-        "mirrored_ratio": _finite(placement.mirrored_ratio),
-        "warnings": list(result.warnings),
-        "files": [str(path) for path in result.files],
+        "mirrored_position_m": None if mirrored is None else position_world_of(mirrored),
+        "mirrored_ratio": placement.mirrored_ratio,
+        "warnings": result.warnings,
+        "files": result.files,
     }
 
 
 def _vector(values: Sequence[float] | np.ndarray, digits: int = 2) -> str:
     return f"({', '.join(f'{value:.{digits}f}' for value in values)})"
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None

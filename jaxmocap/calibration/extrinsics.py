@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.calibration.board.opencv_lenses import pose_jacobian, project_points
+from jaxmocap.calibration.board.opencv_lenses import project_points
 from jaxmocap.calibration.planar_poses import (
     FLAT_THICKNESS,
     CameraPose,
     candidate_poses,
     relative_thickness,
+    rms_length,
 )
 from jaxmocap.formats.cameras.calibration import Intrinsics
 
@@ -62,7 +63,7 @@ class Placement:
     @property
     def rms(self) -> float:
         """Root mean square residual of the points used, pixels."""
-        return float(np.sqrt((self.residuals_xy[self.used] ** 2).sum(-1).mean()))
+        return rms_length(self.residuals_xy[self.used])
 
     @property
     def position_world(self) -> np.ndarray:
@@ -123,7 +124,7 @@ def estimate_placement(
             "board or the points fill too little of the picture, or lie square to the view"
         )
     warnings += _implausibility_warnings(best.matrix, upside_down)
-    residuals_xy = project_points(points_world, best.rvec, best.tvec, lens) - pixels_xy
+    residuals_xy = project_points(points_world, best.rvec, best.tvec, lens)[0] - pixels_xy
     result = Placement(best.matrix, residuals_xy, used, std_m, std_deg, warnings=tuple(warnings))
     if mirrored is None:
         return result
@@ -230,20 +231,14 @@ def _deviations(
     pose: CameraPose, points_world: np.ndarray, lens: Intrinsics
 ) -> tuple[np.ndarray, float]:
     """Standard deviations of place (3,), metres, and direction, degrees, from the residuals."""
-    J = pose_jacobian(points_world, pose.rvec, pose.tvec, lens)
+    _, J = project_points(points_world, pose.rvec, pose.tvec, lens)
     freedom = max(1, J.shape[0] - 6)
     covariance = np.linalg.pinv(J.T @ J) * (pose.residuals_xy**2).sum() / freedom
     steps, here = 1e-6 * np.eye(6), np.concatenate([pose.rvec, pose.tvec])
-    T = _matrix(here)
-    slopes = np.array([_change(T, _matrix(here + step)) for step in steps]).T / 1e-6
+    moved = [replace(pose, rvec=at[:3], tvec=at[3:]).matrix for at in here + steps]
+    slopes = np.array([_change(pose.matrix, T) for T in moved]).T / 1e-6
     std = np.sqrt(np.diag(slopes @ covariance @ slopes.T))
     return std[:3], float(np.degrees(std[3:].max()))
-
-
-def _matrix(vector: np.ndarray) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(vector[:3]).as_matrix(), vector[3:]
-    return T
 
 
 def _change(a: np.ndarray, b: np.ndarray) -> np.ndarray:

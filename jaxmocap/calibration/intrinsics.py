@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from jaxmocap.calibration.board.corners import planarity_residuals
 from jaxmocap.calibration.board.opencv_lenses import LensFit, LensKind, fit_lens
 from jaxmocap.calibration.planar_poses import CameraPose, candidate_poses, rms_length
 from jaxmocap.formats.cameras.calibration import Intrinsics
@@ -99,7 +100,7 @@ def estimate_intrinsics(
     fit = _fit(kept, size, kind)
     poses = [_pose(view, fit.lens) for view in views]
     without = [_fit([*kept[:i], *kept[i + 1 :]], size, kind).values for i in range(len(kept))]
-    left_out = np.array(without) if len(kept) > 3 else np.tile(fit.values, (1, 1))
+    left_out = np.array(without) if len(kept) > 3 else fit.values[None]
     return IntrinsicsEstimate(
         kind.parameters,
         fit.lens,
@@ -121,7 +122,8 @@ def consistent_views(
     that the last calibration explains best, until it stays; then all that fit join in.
     """
     count = max(3, len(views) // 2 + 1)
-    flatness = np.array([_planarity_error(view) for view in views])
+    off = (planarity_residuals(view.points_board, view.pixels_xy) for view in views)
+    flatness = np.array([rms_length(residuals_xy) for residuals_xy in off])
     used = _is_smallest(flatness, count)
     for _ in range(_MAX_ROUNDS):
         residuals = _view_residuals(views, used, size, kind)
@@ -143,15 +145,6 @@ def _is_smallest(figures: np.ndarray, count: int) -> np.ndarray:
     chosen = np.zeros(len(figures), bool)
     chosen[np.argsort(figures, kind="stable")[:count]] = True
     return chosen
-
-
-def _planarity_error(view: BoardView) -> float:
-    """RMS distance of the corners from the best perspective picture of the board, pixels."""
-    H, _ = cv2.findHomography(view.points_board[:, :2], view.pixels_xy)
-    if H is None:
-        return np.inf
-    projected = cv2.perspectiveTransform(view.points_board[None, :, :2], H)[0]
-    return rms_length(projected - view.pixels_xy)
 
 
 def _view_residuals(

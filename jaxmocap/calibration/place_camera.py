@@ -8,7 +8,6 @@ ExtrinsicsResult.
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -128,10 +127,10 @@ def place_camera(
     picture = Picture(path.name, path)
     photo = picture.image()
     size_warnings = _photo_size_warnings(path, photo, lens)
-    points = _target_points(path, photo, target)
-    where, T_world_board = target.points or path, points.T_world_board
+    names, points_world, pixels_xy, T_world_board = _target_points(path, photo, target)
+    where = target.points or path
     try:
-        placement = estimate_placement(points.world, points.pixels_xy, lens, upside_down)
+        placement = estimate_placement(points_world, pixels_xy, lens, upside_down)
     except ArithmeticError as error:
         raise InputError(where, str(error)) from None
     drawings: list[Path] = []
@@ -139,8 +138,7 @@ def place_camera(
         board = None
         if target.board is not None and T_world_board is not None:
             board = target.board, T_world_board
-        draw = partial(draw_placement, picture, lens, placement, points.pixels_xy, board)
-        drawings = folder.write(lambda stage: [draw(stage)])
+        drawings = folder.write(partial(draw_placement, picture, lens, placement, pixels_xy, board))
     advice = "are the points in the world's axes (Z up, or --up y), and pixels unmirrored?"
     if T_world_board is not None:
         advice = advice_on_board_pose(placement.T_cam_world, T_world_board, upside_down)
@@ -154,11 +152,9 @@ def place_camera(
         *size_warnings,
         *placement.warnings,
         *([advice] if advice else []),
-        *_residual_warnings(placement, points.names),
+        *_residual_warnings(placement, names),
     )
-    return ExtrinsicsResult(
-        camera, path.name, tuple(points.names), placement, warnings, (out, *drawings)
-    )
+    return ExtrinsicsResult(camera, path.name, tuple(names), placement, warnings, (out, *drawings))
 
 
 def _photo_size_warnings(path: Path, photo: np.ndarray, lens: Intrinsics) -> list[str]:
@@ -174,24 +170,14 @@ def _photo_size_warnings(path: Path, photo: np.ndarray, lens: Intrinsics) -> lis
     return [f"{path.name} {difference}: taken as cropped on the right and at the bottom"]
 
 
-class _TargetPoints(NamedTuple):
-    """Points at measured places in a photograph.
-
-    Attributes:
-        T_world_board: (4, 4) of the board; None with listed points.
-        names: of the N points.
-        world: (N, 3) metres.
-        pixels_xy: (N, 2).
-    """
-
-    T_world_board: np.ndarray | None
-    names: list[str]
-    world: np.ndarray
-    pixels_xy: np.ndarray
-
-
-def _target_points(path: Path, photo: np.ndarray, target: PlacementTarget) -> _TargetPoints:
+def _target_points(
+    path: Path, photo: np.ndarray, target: PlacementTarget
+) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray | None]:
     """The points that place the camera, found or read.
+
+    Returns:
+        Names of the N points, (N, 3) metres in the world, their pixels (N, 2), and T_world_board
+        (4, 4); None with listed points.
 
     Raises:
         InputError: no board, or one whose origin is ambiguous.
@@ -199,7 +185,7 @@ def _target_points(path: Path, photo: np.ndarray, target: PlacementTarget) -> _T
     R_world_file = R_WORLD_OF_UP[target.up]
     if target.points is not None:
         names, points, pixels_xy = read_points(target.points)
-        return _TargetPoints(None, names, points @ R_world_file.T, pixels_xy)
+        return names, points @ R_world_file.T, pixels_xy, None
     board = target.board
     if board is None or target.pose is None:
         raise InputError(path, "needs a board and its pose, or a file of points")
@@ -208,13 +194,11 @@ def _target_points(path: Path, photo: np.ndarray, target: PlacementTarget) -> _T
         hint = hint_of_other_counts([Picture(path.name, path)], board)
         raise InputError(path, f"found no {board.label} board{hint}")
     pixels_xy = _ordered(path, corners, target.origin_xy)
-    T_file_board = board_to_world(target.pose)
-    T_world_file = np.eye(4)
-    T_world_file[:3, :3] = R_world_file
-    T_world_board = T_world_file @ T_file_board
+    T_world_board = board_to_world(target.pose)
+    T_world_board[:3] = R_world_file @ T_world_board[:3]
     points_world = corners.points_board @ T_world_board[:3, :3].T + T_world_board[:3, 3]
     names = [f"corner {i}" for i in range(1, len(points_world) + 1)]
-    return _TargetPoints(T_world_board, names, points_world, pixels_xy)
+    return names, points_world, pixels_xy, T_world_board
 
 
 def _ordered(path: Path, corners: Corners, origin_xy: tuple[float, float] | None) -> np.ndarray:

@@ -67,7 +67,7 @@ def candidate_poses(
     try:
         poses = [
             CameraPose(
-                rvec.ravel(), tvec.ravel(), project_points(points, rvec, tvec, lens) - pixels_xy
+                rvec.ravel(), tvec.ravel(), project_points(points, rvec, tvec, lens)[0] - pixels_xy
             )
             for rvec, tvec in pose_candidates(points, pixels_xy, lens, method)
         ]

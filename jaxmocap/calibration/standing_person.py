@@ -7,6 +7,7 @@ away the person is, frame by frame. The camera is level, as phones mostly are: i
 INPUTS: pixels of landmarks, a lens, a skeleton. OUTPUTS: a StandingCamera.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from scipy.optimize import least_squares
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import Skeleton, landmark_rows
+from jaxmocap.compilation.arrays import on_device
 from jaxmocap.geometry.cameras import Camera, pixel_rays
 
 # Pairs of landmarks whose middles are looked at. Knees bend.
@@ -52,10 +54,7 @@ class StandingCamera(NamedTuple):
         R_cam_world = np.array([[0.0, -1.0, 0.0], [-s, 0.0, -c], [c, 0.0, -s]])
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R_cam_world, -R_cam_world @ [0.0, 0.0, self.height]
-        return Camera.create(
-            tuple(np.asarray(camera.size).tolist()), camera.matrix, camera.distortion,
-            T[:3, :3], T[:3, 3], camera.lens,
-        )  # fmt: skip
+        return replace(camera, T_cam_world=on_device(T))
 
 
 def camera_by_person(
@@ -111,7 +110,7 @@ def _slopes(
     camera: Camera, names: tuple[str, ...], pixels_xy: np.ndarray, confidences: np.ndarray
 ) -> np.ndarray:
     """(F, K) tangents, downwards, at which a level camera has the pairs' middles; NaN where not."""
-    columns = []
+    columns, unturned = [], replace(camera, T_cam_world=on_device(np.eye(4)))
     for pair in PAIRS:
         sides = [f"{pair}_l", f"{pair}_r"]
         if not set(sides) <= set(names):
@@ -119,15 +118,9 @@ def _slopes(
         rows = [names.index(side) for side in sides]
         middle = np.where(confidences[:, rows].min(1) > 0, pixels_xy[:, rows].mean(1).T, np.nan).T
         level = jnp.asarray(middle, float)
-        rays = np.asarray(pixel_rays(_unturned(camera), level), float)
+        rays = np.asarray(pixel_rays(unturned, level), float)
         columns.append(rays[:, 1] / rays[:, 2])
     return np.stack(columns, 1)
-
-
-def _unturned(camera: Camera) -> Camera:
-    """The lens at the origin, in its own frame."""
-    size = tuple(np.asarray(camera.size).tolist())
-    return Camera.create(size, camera.matrix, camera.distortion, lens=camera.lens)
 
 
 def _upright_heights(skeleton: Skeleton) -> np.ndarray:

@@ -26,13 +26,7 @@ from jaxmocap.formats.time_series.markers import read_markers
 
 BY_HEIGHT = "by height"
 # Bones -> landmarks between which they are measured, "hips" being the middle of the hips.
-_BONE_ENDS: dict[str, tuple[str, str]] = {
-    "spine1": ("hips", "neck"),
-    "spine2": ("hips", "neck"),
-    "spine3": ("hips", "neck"),
-    "neck": ("neck", "vertex"),
-    "head": ("neck", "vertex"),
-}
+_BONE_ENDS = dict.fromkeys(TRUNK, ("hips", "neck")) | dict.fromkeys(NECK_HEAD, ("neck", "vertex"))
 _LIMB_ENDS = {
     "clavicle": ("neck", "shoulder_{}"),
     "humerus": ("shoulder_{}", "elbow_{}"),
@@ -81,7 +75,7 @@ class ScaledBody:
 
     def figures(self) -> dict:
         """The same for programs."""
-        bones, lengths = self.skeleton.tree.bones, np.asarray(self.skeleton.lengths, float)
+        bones, lengths = self.skeleton.tree.bones, self.skeleton.lengths
         return {
             "height_m": self.height,
             "mass_kg": float(self.skeleton.masses.sum()),
@@ -89,7 +83,7 @@ class ScaledBody:
                 bone: {
                     "length_m": float(length),
                     "measured": bone in self.measured_bones,
-                    "std_m": self.measured_bones[bone][0] if bone in self.measured_bones else None,
+                    "std_m": self.measured_bones.get(bone, (None, 0))[0],
                 }
                 for bone, length in zip(bones, lengths, strict=True)
             },

@@ -279,11 +279,10 @@ def _bootstrap_counts(count: int) -> np.ndarray:
 def combine_lags(source: VideoSource, lags_found: Sequence[StretchLag]) -> VideoOffset:
     """One offset from all stretches, and the drift where they lie far enough apart."""
     good = [each for each in lags_found if not each.reason]
-    if not lags_found:
-        nan, reason = float("nan"), "fewer than two of its frames can be compared"
-        return VideoOffset(source.camera_name, source.offset, nan, nan, nan, reason=reason)
     if not good:
-        nan, best = float("nan"), max(lags_found, key=lambda each: each.correlation)
+        nan, none = float("nan"), "fewer than two of its frames can be compared"
+        nothing = StretchLag(nan, nan, nan, nan, none)
+        best = max(lags_found, key=lambda each: each.correlation, default=nothing)
         name, stated = source.camera_name, source.offset
         return VideoOffset(name, stated, nan, nan, best.correlation, reason=best.reason)
     middles, lags, stds = (

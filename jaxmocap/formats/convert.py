@@ -29,12 +29,6 @@ from jaxmocap.formats.armatures.armature import (
 from jaxmocap.formats.armatures.body_armature import armature_of, motion_of
 from jaxmocap.formats.armatures.joint_names import CONVENTIONS, landmark_names, names_to_ours
 from jaxmocap.formats.calibrations.registry import convert_calibration
-from jaxmocap.formats.conversion.resampling import (
-    even_times,
-    resampled_armature,
-    resampled_markers,
-    resampled_motion,
-)
 from jaxmocap.formats.files.errors import FileError, InputError, comma_list
 from jaxmocap.formats.motion_npz import load_motion, save_motion
 from jaxmocap.formats.opensim.coordinates import OPENSIM, write_opensim
@@ -43,6 +37,12 @@ from jaxmocap.formats.time_series.c3d import unconverted_content, write_c3d
 from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.mot import motion_from_angles, read_mot, write_isb, write_mot
+from jaxmocap.formats.time_series.resampling import (
+    even_times,
+    resampled_armature,
+    resampled_markers,
+    resampled_motion,
+)
 from jaxmocap.formats.time_series.tables import Markers
 from jaxmocap.formats.time_series.trc import write_trc
 

@@ -23,29 +23,13 @@ from jaxmocap.formats.files.arrays import INTEGERS, NAMES, TEXT, ArraySpec, NpzA
 from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.json_text import parse_json
 from jaxmocap.formats.files.writing import replacing
-from jaxmocap.formats.time_series.tables import check_times
+from jaxmocap.formats.time_series.tables import FARTHEST_M, check_times
 
 VERSION = 2
-# What a file holds of the skeleton; the rest follows from the joints' names.
-_SKELETON_FIELDS = (
-    "lengths",
-    "directions",
-    "masses",
-    "centres",
-    "diameters",
-    "axes",
-    "limits",
-    "costs",
-    "relaxed",
-)
-# And of its tree.
-_TREE_FIELDS = ("bones", "parents", "joints", "dof_bones")
 _REPORT_FIELDS = ("marker_errors", "arm_costs", "swivels", "landmarks_std", "from_prior")
 _STAGE_PREFIX = "milliseconds."
 
-# Beyond these no number is a person's: metres from the origin, metres of a bone, kilograms,
-# radians, seconds.
-_FARTHEST_M = 1e7
+# Beyond these no number is a person's: metres of a bone, kilograms, radians, seconds.
 _LONGEST_M = 10.0
 _HEAVIEST_KG = 1e4
 _LARGEST_RAD = 1e6
@@ -57,6 +41,7 @@ _MAX_STATUS_CHARACTERS = 2**25
 # Characters of the settings.
 _MAX_SETTINGS_CHARACTERS = 2**22
 
+# What a file holds of the skeleton; the rest follows from the joints' names.
 _BODY_SPECS = {
     "skeleton.lengths": ArraySpec(("B",), low=0, high=_LONGEST_M),
     "skeleton.directions": ArraySpec(("B", 3), low=-1 - _UNIT_TOLERANCE, high=1 + _UNIT_TOLERANCE),
@@ -68,6 +53,7 @@ _BODY_SPECS = {
     "skeleton.costs": ArraySpec(("C",), low=0, high=1e9),
     "skeleton.relaxed": ArraySpec(("D",), low=-_LARGEST_RAD, high=_LARGEST_RAD),
 }
+# And of its tree.
 _TREE_SPECS = {
     "tree.bones": ArraySpec(("B",), NAMES),
     "tree.parents": ArraySpec(("B",), INTEGERS),
@@ -76,7 +62,7 @@ _TREE_SPECS = {
 }
 _POSE_SPECS = {
     "times": ArraySpec(("T",), low=-_LATEST_S, high=_LATEST_S),
-    "pose.position": ArraySpec(("T", 3), low=-_FARTHEST_M, high=_FARTHEST_M, allow_nan=True),
+    "pose.position": ArraySpec(("T", 3), low=-FARTHEST_M, high=FARTHEST_M, allow_nan=True),
     "pose.quaternion": ArraySpec(
         ("T", 4), low=-1 - _UNIT_TOLERANCE, high=1 + _UNIT_TOLERANCE, allow_nan=True
     ),
@@ -103,8 +89,8 @@ def save_motion(path: str | Path, motion: Motion) -> None:
     arrays: dict[str, Any] = {"version": VERSION, "times": np.asarray(motion.times, float)}
     arrays |= {f"pose.{name}": part for name, part in motion.poses._asdict().items()}
     arrays["pose.position"] = motion.positions_world
-    arrays |= {f"skeleton.{name}": getattr(skeleton, name) for name in _SKELETON_FIELDS}
-    arrays |= {f"tree.{name}": getattr(tree, name) for name in _TREE_FIELDS}
+    for part, specs in ((skeleton, _BODY_SPECS), (tree, _TREE_SPECS)):
+        arrays |= {name: getattr(part, name.partition(".")[2]) for name in specs}
     if (report := motion.report) is not None:
         arrays |= {f"report.{name}": getattr(report, name) for name in _REPORT_FIELDS}
         arrays |= {f"{_STAGE_PREFIX}{stage}": times for stage, times in report.milliseconds.items()}
@@ -148,7 +134,7 @@ def load_motion(path: str | Path) -> Motion:
 def _skeleton(file: NpzArrays) -> Skeleton:
     """The bones of one of our bodies, with any of the joints that our files have."""
     arrays = file.read(_TREE_SPECS)
-    tree = Tree(*(tuple(arrays[f"tree.{name}"].tolist()) for name in _TREE_FIELDS))
+    tree = Tree(**{name.partition(".")[2]: tuple(array.tolist()) for name, array in arrays.items()})
     trees = _trees_by_bones()
     ours = trees.get(tree.bones, trees[Skeleton.human().tree.bones])
     for name, names, expected in (
@@ -165,7 +151,7 @@ def _skeleton(file: NpzArrays) -> Skeleton:
     body = file.read(_BODY_SPECS)
     _check_body(file.path, body)
     parts = joint_columns([rows[joint] for joint in tree.joints], read_model(HUMAN).root)
-    parts |= {name: on_device(body[f"skeleton.{name}"]) for name in _SKELETON_FIELDS}
+    parts |= {name.partition(".")[2]: on_device(array) for name, array in body.items()}
     searched = tuple(rows[joint].get("limb", "") for joint in tree.joints)
     return Skeleton(tree=replace(tree, segments=ours.segments, searched=searched), **parts)
 

@@ -15,7 +15,7 @@ from jaxmocap.body.motion import Motion, landmarks_over_time
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS
 from jaxmocap.compilation.programs import program
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, project, projection_jacobian
-from jaxmocap.outputs.scene import neighbours
+from jaxmocap.outputs.scene import both_at
 
 # Half axes, standard deviations: 86 of 100 points of a plane's normal distribution lie within.
 SIGMAS = 2.0
@@ -45,13 +45,7 @@ class Uncertainty:
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray] | None:
         """Centres and deviations (L, 3) at a time, as ``BodyScene.at`` has them."""
-        if (between := neighbours(self.times, time)) is None:
-            return None
-        before, after, part = between
-        return tuple(
-            (1 - part) * values[before] + part * values[after]
-            for values in (self.centres, self.deviations)
-        )  # type: ignore[return-value]
+        return both_at(self.times, time, self.centres, self.deviations)
 
 
 class Ellipse(NamedTuple):

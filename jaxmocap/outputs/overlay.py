@@ -139,7 +139,11 @@ class OverlayArtist:
                     colour = OUTLINE_COLOURS.get(ellipse.elbow, ELLIPSE_COLOUR)
                     _tint(canvas, ellipse.points, colour)
                     _draw_line(canvas, ellipse.points, colour, size)
-            self._draw_outlines(canvas, *ends, size)
+            near, far = ends
+            tree, arms = self.scene.tree, self.scene.tree.bones_in("arm")
+            loops = limb_outlines(self.camera, near[arms], far[arms], self.scene.radii[arms])
+            for bone, loop in zip(arms, loops, strict=True):
+                _draw_line(canvas, loop, OUTLINE_COLOURS[tree.segments[bone].side], size)
             self._draw_points(canvas, *ends, sample, size)
         title = f"{time:.2f} s" + ("" if ends is not None else ", no pose")
         draw_legend(canvas, [(title, JOINT_COLOUR), *self._legend(sample)])
@@ -157,15 +161,6 @@ class OverlayArtist:
         if np.isfinite(deviations).any():
             lines.append((f"ellipses: {SIGMAS:.0f} std. dev.", ELLIPSE_COLOUR))
         return [*lines, *([("+ marker", TARGET_COLOUR)] if self.targets else [])]
-
-    def _draw_outlines(
-        self, canvas: np.ndarray, near: np.ndarray, far: np.ndarray, size: int
-    ) -> None:
-        tree = self.scene.tree
-        arms = tree.bones_in("arm")
-        loops = limb_outlines(self.camera, near[arms], far[arms], self.scene.radii[arms])
-        for bone, loop in zip(arms, loops, strict=True):
-            _draw_line(canvas, loop, OUTLINE_COLOURS[tree.segments[bone].side], size)
 
     def _draw_points(
         self, canvas: np.ndarray, near: np.ndarray, far: np.ndarray, sample: int, size: int

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxmocap.body.motion import UNDETERMINED_M, Motion, Report
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.files.writing import write_text
 
 SIDES = ("left", "right")
 # A body whose median error of a marker is larger, metres, has not been tracked: noise, clothes and
@@ -41,8 +41,7 @@ def write_report(path: str | Path, motion: Motion, extra: Mapping | None = None)
     """
     report = plain(summarise(motion) | dict(extra or {}))
     text = json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False)
-    with replacing(path) as beside:
-        beside.write_text(text + "\n", encoding="utf-8")
+    write_text(path, text + "\n")
     return report
 
 
@@ -115,22 +114,17 @@ def _summarise_report(times: np.ndarray, report: Report) -> dict:
 
 
 def _by_landmark(report: Report) -> dict:
-    """Landmark -> standard deviation over the three axes; shares of samples."""
-    by_landmark = np.moveaxis(np.asarray(report.landmarks_std), 1, 0)
-    return {
-        name: _stated(np.linalg.norm(np.asarray(by_landmark[i], float), axis=-1))
-        | {"from_prior_share": statistics(report.from_prior[:, i], {})["mean"]}
-        for i, name in enumerate(LANDMARKS)
-    }
-
-
-def _stated(deviations: np.ndarray) -> dict:
-    """Of a landmark's (T,) deviations, metres."""
-    undetermined = deviations[np.isfinite(deviations)] > UNDETERMINED_M
-    return {
-        "deviation_m": statistics(deviations, {"median": 50, "p95": 95}),
-        "undetermined_share": statistics(undetermined, {})["mean"],
-    }
+    """Landmark -> standard deviation over the three axes, metres; shares of samples."""
+    by_landmark = {}
+    for i, name in enumerate(LANDMARKS):
+        deviations = np.linalg.norm(np.asarray(report.landmarks_std[:, i], float), axis=-1)
+        undetermined = deviations[np.isfinite(deviations)] > UNDETERMINED_M
+        by_landmark[name] = {
+            "deviation_m": statistics(deviations, {"median": 50, "p95": 95}),
+            "undetermined_share": statistics(undetermined, {})["mean"],
+            "from_prior_share": statistics(report.from_prior[:, i], {})["mean"],
+        }
+    return by_landmark
 
 
 def statistics(values: np.ndarray, percentiles: Mapping[str, float]) -> dict:

@@ -69,15 +69,13 @@ class BodyScene:
 
         None where the time lies more than a sample outside.
         """
-        if (between := neighbours(self.times, time)) is None:
-            return None
-        before, after, part = between
-        near = (1 - part) * self.near[before] + part * self.near[after]
-        return near, (1 - part) * self.far[before] + part * self.far[after]
+        return both_at(self.times, time, self.near, self.far)
 
 
-def neighbours(times: np.ndarray, time: float) -> tuple[int, int, float] | None:
-    """The samples before and after a time, and how far it lies from the first to the second.
+def both_at(
+    times: np.ndarray, time: float, a: np.ndarray, b: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Two arrays (T, ...) at a time, between the samples on a straight line.
 
     None where the time lies more than a sample outside of times (T,), seconds.
     """
@@ -85,7 +83,12 @@ def neighbours(times: np.ndarray, time: float) -> tuple[int, int, float] | None:
     before, after = after - 1, min(after, len(times) - 1)
     step = times[after] - times[before]
     part = (time - times[before]) / step if step > 0 else time - times[before]
-    return (before, after, float(np.clip(part, 0.0, 1.0))) if -1.0 <= part <= 2.0 else None
+    if not -1.0 <= part <= 2.0:
+        return None
+    part = float(np.clip(part, 0.0, 1.0))
+    ends = ((values[before], values[after]) for values in (a, b))
+    first, second = ((1 - part) * start + part * end for start, end in ends)
+    return first, second
 
 
 def make_scene(motion: Motion) -> BodyScene:

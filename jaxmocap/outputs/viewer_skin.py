@@ -7,12 +7,14 @@ Vertices are logged pose by pose, of so many poses at most: of a surface with fe
 its colours were measured, of the surface itself, without shades.
 """
 
+from typing import Any
+
 import numpy as np
 import rerun as rr
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.surfaces.loft import rest_joints
-from jaxmocap.body.surfaces.mesh import SurfaceMesh, atlas_of, coarser, mesh_of, normals_of
+from jaxmocap.body.surfaces.mesh import atlas_of, coarser, mesh_of, normals_of
 from jaxmocap.body.surfaces.surface import Surface, bones_over_time, nodes_over_time, rest_nodes
 from jaxmocap.formats.armatures.skin import TEXEL_M
 from jaxmocap.outputs.layout import TIMELINE
@@ -43,7 +45,19 @@ def log_skin(
         surface = coarser(surface, rest_nodes(surface, joints), SPACING_M)
     rest = rest_nodes(surface, joints)
     mesh = mesh_of(surface, rest, atlas_of(surface, rest, TEXEL_M))
-    _log_static_mesh(stream, mesh, picture)
+    colours: dict[str, Any] = {"albedo_factor": SKIN_COLOUR}
+    if picture is not None:
+        height, width = picture.shape[:2]
+        colours = {
+            "vertex_texcoords": mesh.places,
+            "albedo_texture_buffer": np.ascontiguousarray(picture[..., ::-1]).tobytes(),
+            "albedo_texture_format": rr.components.ImageFormat(
+                width=width, height=height, color_model="RGB", channel_datatype="U8"
+            ),
+        }
+    # Triangles, and colours or a texture, are sent once.
+    triangles = rr.Mesh3D.from_fields(triangle_indices=mesh.triangles, **colours)
+    stream.log("world/skin", triangles, static=True)
     R, places = bones_over_time(motion.skeleton, motion.poses)
     for i in range(0, len(motion.times), -(-len(motion.times) // MOST_POSES)):
         (nodes,) = nodes_over_time(surface.points, R[i : i + 1], places[i : i + 1])
@@ -52,21 +66,3 @@ def log_skin(
         normals = None if picture is not None else normals_of(vertices, mesh.triangles)
         posed = rr.Mesh3D.from_fields(vertex_positions=vertices, vertex_normals=normals)
         stream.log("world/skin", posed)
-
-
-def _log_static_mesh(
-    stream: rr.RecordingStream, mesh: SurfaceMesh, picture: np.ndarray | None
-) -> None:
-    """The static part of the skin: triangles, and colours or a texture."""
-    static_mesh = rr.Mesh3D.from_fields(triangle_indices=mesh.triangles, albedo_factor=SKIN_COLOUR)
-    if picture is not None:
-        height, width = picture.shape[:2]
-        static_mesh = rr.Mesh3D.from_fields(
-            triangle_indices=mesh.triangles,
-            vertex_texcoords=mesh.places,
-            albedo_texture_buffer=np.ascontiguousarray(picture[..., ::-1]).tobytes(),
-            albedo_texture_format=rr.components.ImageFormat(
-                width=width, height=height, color_model="RGB", channel_datatype="U8"
-            ),
-        )
-    stream.log("world/skin", static_mesh, static=True)

@@ -15,12 +15,12 @@ from jaxmocap.body.orientations import body_turns
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, with_wrists
 from jaxmocap.cli.program import main
-from jaxmocap.formats.conversion.resampling import even_times, resampled_motion
 from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import save_motion
 from jaxmocap.formats.time_series.isb import LIMB_JOINTS, isb_angles, made_by_hinges
 from jaxmocap.formats.time_series.mot import read_mot
+from jaxmocap.formats.time_series.resampling import even_times, resampled_motion
 from jaxmocap.geometry.euler import continuous_euler
 
 SKELETON = Skeleton.human(1.75)

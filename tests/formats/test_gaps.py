@@ -7,10 +7,10 @@ from moving_body import RATE, SAMPLES, moving_body, with_parts
 
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.animation.gltf_in import read_gltf
-from jaxmocap.formats.conversion.resampling import LONGEST_BRIDGED_S, even_times, is_gap
 from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.motion_npz import save_motion
 from jaxmocap.formats.time_series.markers import read_markers
+from jaxmocap.formats.time_series.resampling import LONGEST_BRIDGED_S, even_times, is_gap
 from jaxmocap.formats.time_series.trc import write_trc
 
 HOURS = 7200.0

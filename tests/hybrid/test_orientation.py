@@ -1,7 +1,6 @@
 """Markers with orientations: files, places on the body, wrists, outputs."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,7 @@ from jaxmocap.capture.streams.sample_assembly import (
 )
 from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.motion_npz import load_motion, save_motion
-from jaxmocap.formats.recordings.marker_places import MarkerPlace, bone_point_positions, bone_points
+from jaxmocap.formats.recordings.marker_places import MarkerPlace, bone_point_binder, bone_points
 from jaxmocap.formats.recordings.recording import load_markers, write_recording
 from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
 from jaxmocap.formats.time_series.csv import read_csv, write_csv
@@ -183,8 +182,8 @@ def test_points_of_a_turned_marker_lie_where_its_bone_has_them(seed):
         there = along + (held @ offset if offset_in == "marker" else offset)
         x, y, z = offset.tolist()
         place = MarkerPlace(bone, bone, 0.4, (x, y, z), offset_in, tuple(quaternions(held)))
-        wanted = bone_point_positions(BODY, [place], (joints[i] + turned[i] @ there)[None],
-                                 (turned[i] @ held)[None])  # fmt: skip
+        at, R = (joints[i] + turned[i] @ there)[None], (turned[i] @ held)[None]
+        wanted = bone_point_binder(BODY, [place])(at, R)
         points = bone_points(BODY, [place])
         assert len(points) == 3 and {point.bone for point in points} == {bone}
         actual = [joints[i] + turned[i] @ (along + np.array(point.offset)) for point in points]
@@ -194,9 +193,9 @@ def test_points_of_a_turned_marker_lie_where_its_bone_has_them(seed):
 def test_where_a_markers_orientation_is_missing_its_point_is_missing():
     place = MarkerPlace("C", "hand_l", 0.0, (0.0, 0.0, 0.1), "marker")
     R = np.full((1, 3, 3), np.nan)
-    assert np.isnan(bone_point_positions(BODY, [place], np.ones((1, 3)), R)).all()
+    assert np.isnan(bone_point_binder(BODY, [place])(np.ones((1, 3)), R)).all()
     plain = replace(place, offset_in="bone")
-    np.testing.assert_array_equal(bone_point_positions(BODY, [plain], np.ones((1, 3)), R), 1)
+    np.testing.assert_array_equal(bone_point_binder(BODY, [plain])(np.ones((1, 3)), R), 1)
 
 
 @pytest.mark.parametrize(
@@ -262,14 +261,14 @@ def sent(name: str, position: np.ndarray, R: np.ndarray) -> bytes:
 def test_devices_over_osc_send_orientations_that_are_recorded(tmp_path):
     (tmp_path / "live.toml").write_text(LIVE)
     setup, samples = load_live(tmp_path / "live.toml"), []
-    bind = partial(bone_point_positions, setup.skeleton, setup.places)
+    bind = bone_point_binder(setup.skeleton, setup.places)
     gathers = SampleAssembler(setup.marker_names, {}, setup.R_world_source, samples.append, bind)
     R, at = random_turns(7, 4, 2), np.random.default_rng(7).uniform(-1, 1, (4, 2, 3))
     for i in range(4):
         packets = (sent(n, at[i, m], R[i, m]) for m, n in enumerate(setup.marker_names))
         placed = [placed for packet in packets for placed in parse_packet(packet).markers]
         gathers.add(placed, i / 90, i / 90, is_complete=True)
-    positions_world = bone_point_positions(setup.skeleton, setup.places, at, R)
+    positions_world = bind(at, R)
     actual = np.stack([sample.positions_world for sample in samples])
     np.testing.assert_allclose(actual, positions_world, atol=1e-6)
     written = LiveRecording(setup, tmp_path / "out")
@@ -321,7 +320,7 @@ def test_a_run_whose_headset_sends_no_orientation_is_recorded_without(tmp_path):
     setup = live_setup(tmp_path, "[markers.on]\nHmd = { bone = 'head' }\n")
     written = LiveRecording(setup, tmp_path / "out")
     at, R = np.ones((1, 3)), np.full((1, 3, 3), np.nan)
-    points = bone_point_positions(setup.skeleton, setup.places, at, R)
+    points = bone_point_binder(setup.skeleton, setup.places)(at, R)
     for i in range(3):
         written.add(MarkerSample(i / 90, points, i / 90, MarkerMeasurements(at, R)))
     path = written.close()

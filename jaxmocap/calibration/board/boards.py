@@ -9,7 +9,7 @@ up: of a chessboard, with that end at the bottom (or, where the first number is 
 whose two outermost squares are black; of a ChArUco board, with its markers upright.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,13 +68,11 @@ class Board:
 
     def resized(self, columns: int, rows: int) -> "Board":
         """A board of the same kind with other counts."""
-        return Board(columns, rows, self.square, self.dictionary, self.marker)
+        return replace(self, columns=columns, rows=rows)
 
 
 def parse_board(
     counts: tuple[int, int], square: float, charuco: tuple[str, float] | None = None
 ) -> Board:
     """A Board from what the command line holds."""
-    columns, rows = counts
-    dictionary, marker = charuco or (None, 0.0)
-    return Board(columns, rows, square, dictionary, marker)
+    return Board(*counts, square, *(charuco or (None, 0.0)))

@@ -104,12 +104,17 @@ def _find_chessboard(grey: np.ndarray, board: Board) -> np.ndarray | None:
 
 def _planarity_error(pixels_xy: np.ndarray, board: Board) -> float:
     """Largest distance from the best perspective picture of the board, in steps of its corners."""
-    H, _ = cv2.findHomography(board.points_board[:, :2], pixels_xy)
-    if H is None:
-        return np.inf
-    projected = cv2.perspectiveTransform(board.points_board[None, :, :2], H)[0]
+    residuals = planarity_residuals(board.points_board, pixels_xy)
     step = _shortest_step(pixels_xy.reshape(board.rows, board.columns, 2))
-    return float(np.linalg.norm(projected - pixels_xy, axis=-1).max() / max(step, 1e-9))
+    return float(np.linalg.norm(residuals, axis=-1).max() / max(step, 1e-9))
+
+
+def planarity_residuals(points_board: np.ndarray, pixels_xy: np.ndarray) -> np.ndarray:
+    """(N, 2) pixels to the best perspective picture of (N, 3) points; infinite without one."""
+    H, _ = cv2.findHomography(points_board[:, :2], pixels_xy)
+    if H is None:
+        return np.full(pixels_xy.shape, np.inf)
+    return cv2.perspectiveTransform(points_board[None, :, :2], H)[0] - pixels_xy
 
 
 def _shortest_step(grid_xy: np.ndarray) -> float:

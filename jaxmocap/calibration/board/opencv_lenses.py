@@ -65,21 +65,11 @@ class LensFit:
 
 def project_points(
     points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Intrinsics
-) -> np.ndarray:
-    """Pixels (N, 2) of points (N, 3) that a pose takes to the camera's frame."""
-    return _projected(points, rvec, tvec, lens)[0]
-
-
-def pose_jacobian(
-    points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Intrinsics
-) -> np.ndarray:
-    """(2 N, 6) derivatives of the pixels by the Rodrigues vector and the translation."""
-    return _projected(points, rvec, tvec, lens)[1]
-
-
-def _projected(
-    points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Intrinsics
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (N, 2) of points (N, 3) that a pose takes to the camera's frame, and derivatives.
+
+    These, (2 N, 6), are by the Rodrigues vector and the translation.
+    """
     if not lens.fisheye:
         pixels, J = cv2.projectPoints(points, rvec, tvec, lens.matrix, lens.distortions)
         return pixels.reshape(-1, 2), J[:, :6]
@@ -138,10 +128,10 @@ def _refined(
     """A pose (6,) by Levenberg-Marquardt on the pixels."""
 
     def off(pose: np.ndarray) -> np.ndarray:
-        return (project_points(points, pose[:3], pose[3:], lens) - pixels_xy).ravel()
+        return (project_points(points, pose[:3], pose[3:], lens)[0] - pixels_xy).ravel()
 
     def slopes(pose: np.ndarray) -> np.ndarray:
-        return pose_jacobian(points, pose[:3], pose[3:], lens)
+        return project_points(points, pose[:3], pose[3:], lens)[1]
 
     solution = least_squares(off, pose, jac=slopes, method="lm").x  # type: ignore[arg-type]
     return solution[:3], solution[3:]
@@ -200,7 +190,9 @@ def _fit_fisheye(
 ) -> LensFit:
     """OpenCV gives no deviations: they are of its own derivatives, by least squares."""
     held = [f"CALIB_FIX_K{i}" for i in range(kind.coefficients + 1, 5)]
-    flags = sum(_flag(name) for name in ("CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW", *held))
+    names = ("CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW", *held)
+    # OpenCV 4 has a fisheye's flags beside its functions, OpenCV 5 among all others.
+    flags = sum(getattr(cv2.fisheye, name, None) or getattr(cv2, name) for name in names)
     stop = cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, _FISHEYE_STEPS, _FISHEYE_PRECISION
     _, K, d, rvecs, tvecs = cv2.fisheye.calibrate(
         [part[None].astype(float) for part in points],
@@ -225,8 +217,3 @@ def _fit_fisheye(
     std = np.zeros(8)
     std[:free] = np.sqrt(variance * np.diag(np.linalg.pinv(A.T @ A))[:free])
     return LensFit(lens, float(np.sqrt(2 * np.mean(residuals**2))), values, std)
-
-
-def _flag(name: str) -> int:
-    """OpenCV 4 has a fisheye's flags beside its functions, OpenCV 5 among all others."""
-    return getattr(cv2.fisheye, name, None) or getattr(cv2, name)

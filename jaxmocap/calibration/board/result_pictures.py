@@ -15,11 +15,11 @@ from jaxmocap.calibration.board.finding import BoardDetections
 from jaxmocap.calibration.board.opencv_lenses import project_points
 from jaxmocap.calibration.board.pictures import Picture
 from jaxmocap.calibration.extrinsics import Placement
-from jaxmocap.calibration.intrinsics import BoardView, IntrinsicsEstimate
-from jaxmocap.calibration.planar_poses import CameraPose, tilt_degrees
+from jaxmocap.calibration.intrinsics import IntrinsicsEstimate
+from jaxmocap.calibration.planar_poses import tilt_degrees
 from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.formats.files.output_folder import OutputFolder
-from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.files.writing import write_bytes
 
 # BGR.
 DETECTED_COLOUR = (90, 230, 90)
@@ -107,7 +107,7 @@ class AnnotatedPicture:
         if ((tips @ T_cam_frame[2, :3]) + T_cam_frame[2, 3] <= 0.05).any():
             return
         rvec, _ = cv2.Rodrigues(T_cam_frame[:3, :3])
-        origin, *ends = project_points(tips, rvec, T_cam_frame[:3, 3], lens)
+        origin, *ends = project_points(tips, rvec, T_cam_frame[:3, 3], lens)[0]
         for end, (axis, colour) in zip(ends, AXIS_COLOURS.items(), strict=True):
             self.line(origin, end, colour, 3)
             self.text(axis, end + 6, WHITE)
@@ -145,10 +145,8 @@ def draw_coverage(
 
 def write_annotated(path: Path, picture: AnnotatedPicture) -> Path:
     """Write a JPEG file; its path."""
-    with replacing(path) as temporary:
-        temporary.write_bytes(
-            cv2.imencode(".jpg", picture.image, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
-        )
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 92]
+    write_bytes(path, cv2.imencode(".jpg", picture.image, quality)[1].tobytes())
     return path
 
 
@@ -194,7 +192,17 @@ def draw_intrinsics(
     for number, picture in enumerate(detections.pictures, 1):
         canvas = _titled(detections, picture)
         if picture.name in results:
-            _draw_view(canvas, *results[picture.name], result.lens, detections.board, times)
+            view, pose, use = results[picture.name]
+            longer = times if use else 1
+            canvas.corners(view.pixels_xy)
+            if not use:
+                canvas.title("LEFT OUT: does not fit the other views")
+            canvas.title(LEGEND.format(longer))
+            if pose is not None:
+                canvas.title(f"{pose.rms:.2f} px RMS, tilt {tilt_degrees(pose):.0f} degrees")
+                canvas.residuals(view.pixels_xy, pose.residuals_xy, longer)
+                length = _BOARD_AXES_SQUARES * detections.board.square
+                canvas.axes(pose.matrix, result.lens, length, "origin")
         files.append(write_annotated(_file(folder, number, picture), canvas))
     used = [
         (view.pixels_xy, pose.residuals_xy) for view, pose, use in results.values() if use and pose
@@ -219,26 +227,6 @@ def _file(folder: str | Path, number: int, picture: Picture) -> Path:
     return Path(folder) / f"{number:02d}_{stem}.jpg"
 
 
-def _draw_view(
-    canvas: AnnotatedPicture,
-    view: BoardView,
-    pose: CameraPose | None,
-    use: bool,
-    lens: Intrinsics,
-    board: Board,
-    times: int,
-) -> None:
-    canvas.corners(view.pixels_xy)
-    if not use:
-        times = 1
-        canvas.title("LEFT OUT: does not fit the other views")
-    canvas.title(LEGEND.format(times))
-    if pose is not None:
-        canvas.title(f"{pose.rms:.2f} px RMS, tilt {tilt_degrees(pose):.0f} degrees")
-        canvas.residuals(view.pixels_xy, pose.residuals_xy, times)
-        canvas.axes(pose.matrix, lens, _BOARD_AXES_SQUARES * board.square, "origin")
-
-
 def draw_placement(
     picture: Picture,
     lens: Intrinsics,
@@ -246,7 +234,7 @@ def draw_placement(
     pixels_xy: np.ndarray,
     board: tuple[Board, np.ndarray] | None,
     folder: str | Path,
-) -> Path:
+) -> list[Path]:
     """The photograph with what placed the camera, and the axes of the board and of the world.
 
     Args:
@@ -274,4 +262,4 @@ def draw_placement(
         canvas.residuals(pixels_xy[which], placement.residuals_xy[which], longer)
     if board is None or np.abs(board[1] - np.eye(4)).max() > 1e-6:
         canvas.axes(placement.T_cam_world, lens, _WORLD_AXES_M, "world")
-    return write_annotated(Path(folder) / f"{picture.path.stem}_placed.jpg", canvas)
+    return [write_annotated(Path(folder) / f"{picture.path.stem}_placed.jpg", canvas)]

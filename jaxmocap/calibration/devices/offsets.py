@@ -269,21 +269,19 @@ def toml_line(offset: DeviceOffset) -> str:
 
 
 def offsets_figures(offsets: Sequence[DeviceOffset]) -> dict:
-    """The same as figures."""
+    """The same as figures; what is not finite has none."""
     return {
         offset.place.name: {
             "bone": offset.place.bone,
-            "offset_m": offset.offset.tolist(),
-            "std_m": offset.std.tolist(),
-            "covariance_m2": offset.covariance.tolist(),
+            "offset_m": offset.offset,
+            "std_m": offset.std,
+            "covariance_m2": offset.covariance,
             "joint_rms_m": offset.joint_rms,
             "rotation_rms_deg": offset.rotation_rms,
             "seconds": offset.windows,
-            "turn_wxyz": None
-            if offset.orientation is None
-            else quaternions(offset.orientation).tolist(),
-            "turn_rms_deg": None if offset.orientation is None else offset.orientation_rms,
-            "warnings": list(offset.warnings),
+            "turn_wxyz": None if offset.orientation is None else quaternions(offset.orientation),
+            "turn_rms_deg": offset.orientation_rms,
+            "warnings": offset.warnings,
         }
         for offset in offsets
     }

@@ -22,12 +22,13 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.orientations import body_turns, quaternions
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.formats.armatures.body_armature import T_POSE
 from jaxmocap.formats.recordings.marker_places import MarkerPlace
 
 Stance = Literal["t", "i"]
 # Joints of a stance that are not 0, degrees.
 STANCE_ANGLES_DEG: dict[Stance, dict[str, float]] = {
-    "t": {"arm_abduct_l": 90.0, "arm_abduct_r": 90.0},
+    "t": T_POSE,
     "i": {},
 }
 # Height of the eyes by stature (Winter 2009, figure 4.1, after Drillis and Contini 1966).

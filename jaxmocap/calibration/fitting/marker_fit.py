@@ -97,7 +97,7 @@ def fit_person(model: Model, start: Pose, targets: Array) -> PersonFit:
         first,
     )
     undamped = jnp.zeros((), model.dtype)
-    precision = _shared_equations(model, targets, person, poses, undamped).left
+    precision, _, _ = _shared_equations(model, targets, person, poses, undamped)
     return PersonFit(
         person, poses, cost, solved(precision, jnp.eye(len(precision), dtype=model.dtype))
     )
@@ -160,23 +160,15 @@ def _cost_of_all(model: Model, targets: Array, place: tuple[MarkedPerson, Pose])
     return jnp.sum(own) + shared @ solved(usual_covariance(model), shared)
 
 
-class _Shared(NamedTuple):
-    """Equations of what is shared, the poses eliminated.
-
-    Attributes:
-        left: (S, S).
-        right: (S,).
-        eliminated: (K, N, S + 1) how poses follow what is shared, and their own step.
-    """
-
-    left: Array
-    right: Array
-    eliminated: Array
-
-
 def _shared_equations(
     model: Model, targets: Array, person: MarkedPerson, poses: Pose, damping: Array
-) -> _Shared:
+) -> tuple[Array, Array, Array]:
+    """Equations of what is shared, the poses eliminated.
+
+    Returns:
+        Left (S, S) and right (S,); how poses follow what is shared, and their own step, (K, N,
+        S + 1).
+    """
     there = fitted_model(model, person)
 
     def of_sample(own: Array, pose: Pose) -> tuple[Array, ...]:
@@ -198,7 +190,7 @@ def _shared_equations(
     left = damped(jnp.sum(square, 0) + weights, damping)
     right = jnp.sum(pull, 0) + jnp.matmul(weights, shared, precision=HIGHEST)
     reduced = jnp.einsum("kis,kit->st", cross, eliminated, precision=HIGHEST)
-    return _Shared(left - reduced[:, :-1], right - reduced[:, -1], eliminated)
+    return left - reduced[:, :-1], right - reduced[:, -1], eliminated
 
 
 def _joint_step(
@@ -206,9 +198,9 @@ def _joint_step(
 ) -> tuple[MarkedPerson, Pose]:
     """The next place: poses eliminated, what is shared solved for, poses found again."""
     person, poses = place
-    equations, count = _shared_equations(model, targets, person, poses, damping), len(LENGTHS)
-    step = -solved(equations.left, equations.right)
-    follow, own = equations.eliminated[..., :-1], equations.eliminated[..., -1]
+    left, right, eliminated = _shared_equations(model, targets, person, poses, damping)
+    step, count = -solved(left, right), len(LENGTHS)
+    follow, own = eliminated[..., :-1], eliminated[..., -1]
     moves = -own - jnp.einsum("kis,s->ki", follow, step, precision=HIGHEST)
     lengths, shifts = step[:count], step[count:].reshape(-1, 3)
     moved = MarkedPerson(person.lengths + lengths, person.shifts + shifts)

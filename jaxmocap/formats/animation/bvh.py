@@ -17,16 +17,14 @@ from jaxmocap.formats.armatures.armature import MAX_DEPTH, Armature, BeyondForma
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.writing import write_lines
 from jaxmocap.formats.time_series.tables import (
-    METRES_PER_UNIT,
     SHORTEST_STEP_S,
+    UNITS,
     even_rate,
     row_texts,
 )
 from jaxmocap.geometry.euler import continuous_euler
 from jaxmocap.geometry.rows import ComputedRows, Index
 
-# Units that a file may be in.
-UNITS = METRES_PER_UNIT | {"in": 0.0254}
 EULER_ORDER = "ZXY"
 _POSITIONS = ("Xposition", "Yposition", "Zposition")
 # Seconds per frame, at most.

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.formats.animation.bvh import LONGEST_STEP_S, UNITS
+from jaxmocap.formats.animation.bvh import LONGEST_STEP_S
 from jaxmocap.formats.armatures.armature import MAX_DEPTH, MAX_JOINTS, MAX_ROTATIONS, Armature
 from jaxmocap.formats.armatures.joint_names import end_of
 from jaxmocap.formats.files.errors import InputError, short_name, short_repr
@@ -24,6 +24,7 @@ from jaxmocap.formats.time_series.tables import (
     LARGEST_NUMBER,
     MAX_NAME_CHARACTERS,
     SHORTEST_STEP_S,
+    UNITS,
     declared_count,
     parse_rows,
 )

@@ -28,8 +28,8 @@ from jaxmocap.formats.armatures.armature import (
 )
 from jaxmocap.formats.armatures.body_armature import T_POSE, armature_of
 from jaxmocap.formats.armatures.skin import surface_skin
-from jaxmocap.formats.conversion.resampling import even_times, resampled_armature
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP
+from jaxmocap.formats.time_series.resampling import even_times, resampled_armature
 from jaxmocap.formats.time_series.tables import is_even
 
 # What names joints have in a file if nothing else is asked for.

@@ -209,12 +209,12 @@ class Accessors:
         buffers = self._document["buffers"]
         if view["buffer"].index(buffers) or buffers[0].has("uri"):
             raise view["buffer"].error("found numbers in another file, which are not read")
-        at, length = view["byteOffset"].integer(default=0), view["byteLength"].integer()
+        at, length = view.get("byteOffset", 0).integer(), view["byteLength"].integer()
         if at + length > len(self._content):
             there = f"the file holds {len(self._content)}"
             raise view.error(f"found bytes {at} to {at + length}, {there}")
-        row, start = size * dtype.itemsize, stated["byteOffset"].integer(default=0)
-        stride = view["byteStride"].integer(row, default=row)
+        row, start = size * dtype.itemsize, stated.get("byteOffset", 0).integer()
+        stride = view.get("byteStride", row).integer(row)
         if count and start + (count - 1) * stride + row > length:
             problem = f"found {count} times {row} bytes from {start} on, {stride} apart"
             raise stated.error(f"{problem}, its view has {length}")

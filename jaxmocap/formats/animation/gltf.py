@@ -23,8 +23,8 @@ import jaxmocap
 from jaxmocap.formats.animation.glb import BinaryChunk, write_document
 from jaxmocap.formats.armatures.armature import Armature, BeyondFormatError
 from jaxmocap.formats.armatures.skin import SkinnedMesh, limb_mesh
-from jaxmocap.formats.conversion.resampling import hold_across_gaps
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.time_series.resampling import hold_across_gaps
 from jaxmocap.geometry.origin import local_origin
 
 SKIN_COLOUR = (0.62, 0.68, 0.76, 1.0)

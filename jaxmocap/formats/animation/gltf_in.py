@@ -16,7 +16,7 @@ from jaxmocap.formats.animation.glb import Accessors, read_document
 from jaxmocap.formats.animation.json_parts import JsonPart
 from jaxmocap.formats.armatures.armature import MAX_DEPTH, MAX_JOINTS, MAX_ROTATIONS, Armature
 from jaxmocap.formats.files.errors import InputError, comma_list, short_name
-from jaxmocap.formats.time_series.tables import LATEST_S
+from jaxmocap.formats.time_series.tables import FARTHEST_M, LATEST_S
 
 # Joints other than the root may not slide by more than this, metres.
 MAX_SLIDE_M = 1e-3
@@ -24,8 +24,7 @@ MAX_SLIDE_M = 1e-3
 MAX_SCALE_ERROR = 1e-3
 # Times of different channels that differ by less are one, seconds: float32 has no more.
 SAME_TIME_S = 1e-5
-# From a joint to the next, metres; nodes of a document.
-_FARTHEST_M = 1e7
+# Nodes of a document.
 _MAX_NODES = 100_000
 # A matrix may differ from a rotation by this, as files round.
 _MAX_SHEAR = 1e-2
@@ -44,7 +43,7 @@ def read_gltf(path: str | Path) -> Armature:
     """
     document, content = read_document(path)
     nodes = document["nodes"]
-    if not document["animations"].items(optional=True):
+    if not document.get("animations", []).items():
         raise InputError(path, "holds no animation")
     joints, parents = _joints(document)
     animation = document["animations"][0]
@@ -57,11 +56,11 @@ def read_gltf(path: str | Path) -> Armature:
     if len(times) * len(joints) > MAX_ROTATIONS:
         problem = f"found {len(times)} samples of {len(joints)} joints"
         raise animation.error(f"{problem}, expected at most {MAX_ROTATIONS} orientations")
-    names = tuple(nodes[node]["name"].text(f"joint{node}") for node in joints)
+    names = tuple(nodes[node].get("name", f"joint{node}").text() for node in joints)
     offsets, positions, R = _joint_motion(accessors, nodes, joints, parents, curves, times)
     extras = animation["extras"]
     start = extras["start"].number(LATEST_S) if extras.has("start") else 0.0
-    origin = extras["origin"].numbers(3, _FARTHEST_M) if extras.has("origin") else np.zeros(3)
+    origin = extras["origin"].numbers(3, FARTHEST_M) if extras.has("origin") else np.zeros(3)
     return Armature(names, parents, offsets, times + start, positions + origin, R)
 
 
@@ -72,14 +71,14 @@ def _joints(document: JsonPart) -> tuple[list[int], tuple[int, ...]]:
     wanted = {
         i for i, node in enumerate(nodes.parts()) if not node.has("mesh") and not node.has("camera")
     }
-    if document["skins"].items(optional=True):
+    if document.get("skins", []).items():
         wanted = {joint.index(nodes) for joint in document["skins"][0]["joints"].parts()}
     for node in list(wanted):
         while (node := above.get(node, -1)) >= 0 and node not in wanted:
             wanted.add(node)
     roots = [node for node in sorted(wanted) if node not in above]
     if len(roots) != 1:
-        names = comma_list(nodes[root]["name"].text(str(root)) for root in roots) or "none"
+        names = comma_list(nodes[root].get("name", str(root)).text() for root in roots) or "none"
         raise InputError(document.path, f"expected one skeleton, found roots {names}")
     ordered, parents, depths = [roots[0]], [-1], [1]
     for parent, node in enumerate(ordered):
@@ -100,7 +99,7 @@ def _forest(nodes: JsonPart) -> tuple[list[list[int]], dict[int, int]]:
     children: list[list[int]] = []
     above: dict[int, int] = {}
     for i, node in enumerate(nodes.parts()):
-        below = [child.index(nodes) for child in node["children"].parts(optional=True)]
+        below = [child.index(nodes) for child in node.get("children", []).parts()]
         for child in below:
             if child in above:
                 raise node["children"].error(f"found node {child}, which has a parent already")
@@ -160,7 +159,7 @@ def _curves(
         if (node, path) in curves:
             raise target.error(f"moves the {path} of node {node} a second time")
         sampler = samplers[channel["sampler"].index(samplers)]
-        mode = sampler["interpolation"].choice(["LINEAR", "STEP"], "LINEAR")
+        mode = sampler.get("interpolation", "LINEAR").choice(["LINEAR", "STEP"])
         times = sampler["input"].index(document["accessors"])
         if times not in keys:
             found = keys[times] = accessors.read(times, ())
@@ -212,22 +211,22 @@ def _joint_motion(
 
 
 def _name(node: JsonPart) -> str:
-    return repr(short_name(node["name"].text("without a name")))
+    return repr(short_name(node.get("name", "without a name").text()))
 
 
 def _rest_pose(node: JsonPart) -> tuple[np.ndarray, np.ndarray]:
     """A node's own position and rotation (3, 3); InputError where it is scaled."""
     if node.has("matrix"):
-        matrix = node["matrix"].numbers(16, _FARTHEST_M).reshape(4, 4).T
+        matrix = node["matrix"].numbers(16, FARTHEST_M).reshape(4, 4).T
         R, position = matrix[:3, :3], matrix[:3, 3]
         scale = np.linalg.norm(R, axis=0)
     else:
-        quaternion = node["rotation"].numbers(4, 1e3, (0, 0, 0, 1))
+        quaternion = node.get("rotation", [0, 0, 0, 1]).numbers(4, 1e3)
         if np.linalg.norm(quaternion) < _MIN_QUATERNION_LENGTH:
             raise node["rotation"].error("found a quaternion of length 0, expected 1")
         R = Rotation.from_quat(quaternion).as_matrix()
-        position = node["translation"].numbers(3, _FARTHEST_M, (0, 0, 0))
-        scale = node["scale"].numbers(3, 1e6, (1, 1, 1))
+        position = node.get("translation", [0, 0, 0]).numbers(3, FARTHEST_M)
+        scale = node.get("scale", [1, 1, 1]).numbers(3, 1e6)
     if np.abs(scale - 1).max() > MAX_SCALE_ERROR:
         raise node.error(f"joint {_name(node)} is scaled, which is not read")
     if np.linalg.det(R) < 0 or np.abs(R @ R.T - np.eye(3)).max() > _MAX_SHEAR:
@@ -242,8 +241,8 @@ def _positions_at(
     if curve is None:
         return np.tile(rest, (len(times), 1))
     values = curve.values(accessors, 3)
-    if np.abs(values).max() > _FARTHEST_M:
-        raise curve.part.error(f"found a joint farther than {_FARTHEST_M:g} m from its parent")
+    if np.abs(values).max() > FARTHEST_M:
+        raise curve.part.error(f"found a joint farther than {FARTHEST_M:g} m from its parent")
     if curve.is_step:
         return values[_last_key(curve.times, times)]
     return np.stack([np.interp(times, curve.times, column) for column in values.T], 1)

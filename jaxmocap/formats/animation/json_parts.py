@@ -6,7 +6,7 @@ InputError in one sentence that names the part, what was found there, and what w
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,43 +52,41 @@ class JsonPart:
         place = f"{self.place}.{key}" if self.place else key
         return JsonPart(self.path, place, self.value.get(key))
 
-    def items(self, optional: bool = False) -> Sequence[Any]:
-        """A list's values; none where it is left out and may be."""
-        if optional and self.value is None:
-            return ()
+    def get(self, key: str, default: Any) -> "JsonPart":
+        """An entry of a table; this value where a table has none."""
+        part = self[key]
+        return replace(part, value=default) if part.value is None else part
+
+    def items(self) -> Sequence[Any]:
+        """A list's values."""
         if not isinstance(self.value, list):
             raise self._expected("a JSON list")
         return self.value
 
-    def parts(self, optional: bool = False) -> Iterator["JsonPart"]:
+    def parts(self) -> Iterator["JsonPart"]:
         """A list's entries."""
-        return (self[i] for i in range(len(self.items(optional))))
+        return (self[i] for i in range(len(self.items())))
 
-    def integer(self, low: int = 0, high: int = _LARGEST, default: int | None = None) -> int:
-        """A whole number from ``low`` to ``high``."""
-        if default is not None and self.value is None:
-            return default
+    def integer(self, low: int = 0) -> int:
+        """A whole number from ``low`` on."""
         value = self.value
         if isinstance(value, float) and value.is_integer():
             value = int(value)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            bound = f"{low} to {high}" if high < _LARGEST else f"{low} or more"
-            raise self._expected(f"a whole number, {bound}")
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= _LARGEST:
+            raise self._expected(f"a whole number, {low} or more")
         return value
 
     def index(self, of: "JsonPart") -> int:
         """The index of an entry of a list."""
-        count = len(of.items(optional=True))
+        count = 0 if of.value is None else len(of.items())
         if isinstance(self.value, bool) or not isinstance(self.value, int):
             raise self._expected(f"an index of {of.place}")
         if not 0 <= self.value < count:
             raise self._expected(f"an index of {of.place}, which has {count}")
         return self.value
 
-    def number(self, most: float, default: float | None = None) -> float:
+    def number(self, most: float) -> float:
         """A number from ``-most`` to ``most``."""
-        if default is not None and self.value is None:
-            return default
         value = self.value
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self._expected("a number")
@@ -97,18 +95,14 @@ class JsonPart:
             raise self._expected(f"a number from {-most:g} to {most:g}")
         return float(value)
 
-    def numbers(self, count: int, most: float, default: Sequence[float] = ()) -> np.ndarray:
+    def numbers(self, count: int, most: float) -> np.ndarray:
         """(count,) numbers from ``-most`` to ``most``."""
-        if default and self.value is None:
-            return np.array(default, float)
         if len(self.items()) != count:
             raise self._expected(f"{count} numbers")
         return np.array([part.number(most) for part in self.parts()])
 
-    def text(self, default: str | None = None) -> str:
+    def text(self) -> str:
         """A text that prints, of at most ``MAX_TEXT_CHARACTERS`` characters."""
-        if default is not None and self.value is None:
-            return default
         value = self.value
         if (
             not isinstance(value, str)
@@ -118,10 +112,8 @@ class JsonPart:
             raise self._expected(f"a text that prints, of at most {MAX_TEXT_CHARACTERS} characters")
         return value
 
-    def choice(self, options: Sequence[Any], default: Any = None) -> Any:
+    def choice(self, options: Sequence[Any]) -> Any:
         """One of some values."""
-        if default is not None and self.value is None:
-            return default
         if isinstance(self.value, list | dict) or self.value not in options:
             raise self._expected(f"one of {comma_list(map(str, options))}")
         return self.value

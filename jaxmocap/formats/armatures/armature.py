@@ -110,13 +110,10 @@ def fill_from_nearest(armature: Armature, path: str | Path) -> Armature:
         raise InputError(path, "every sample's pose is missing")
     if len(valid_samples) == len(armature.times):
         return armature
-    after = np.clip(
-        np.searchsorted(valid_samples, np.arange(len(armature.times))), 0, len(valid_samples) - 1
-    )
-    before = np.maximum(after - 1, 0)
-    t = armature.times
-    earlier = np.abs(t - t[valid_samples[before]]) < np.abs(t - t[valid_samples[after]])
-    nearest = valid_samples[np.where(earlier, before, after)]
+    times = armature.times[valid_samples]
+    # Halfway between two of them the later one is as near.
+    halfway = (times[1:] + times[:-1]) / 2
+    nearest = valid_samples[np.searchsorted(halfway, armature.times, "right")]
     return replace(
         armature,
         positions=armature.positions[nearest],

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.motion import Motion, near_origin
-from jaxmocap.body.orientations import body_turns, local_turns, matrices
+from jaxmocap.body.orientations import body_turns, local_turns, matrices, quaternions
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, with_wrists
 from jaxmocap.compilation.arrays import on_device
@@ -148,9 +148,8 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
         skeleton = with_wrists(skeleton)
         angles = _angles(skeleton, armature, index, path)
     is_valid = armature.is_valid[:, None]
-    root = np.where(is_valid[..., None], armature.rotations[:][:, index[PELVIS]], np.eye(3))
-    quaternion = Rotation.from_matrix(root).as_quat(scalar_first=True)
-    parts = [armature.positions, quaternion, angles]
+    root = quaternions(armature.rotations[:][:, index[PELVIS]])
+    parts = [armature.positions, root, angles]
     parts_or_nan: list[Any] = [np.where(is_valid, part, np.nan) for part in parts]
     return near_origin(Motion(skeleton, armature.times, Pose(*parts_or_nan)))
 
@@ -158,7 +157,11 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
 def _angles(
     skeleton: Skeleton, armature: Armature, index: Mapping[str, int], path: str | Path
 ) -> np.ndarray:
-    """Angles (T, D), radians, by which the bones have the orientations of the armature's joints."""
+    """Angles (T, D), radians, by which the bones have the orientations of the armature's joints.
+
+    Raises:
+        InputError: our hinges do not turn a bone as the armature does.
+    """
     angles = np.zeros((len(armature.times), len(skeleton.tree.joints)))
     rest, rotations = rest_orientations(skeleton), armature.rotations[:]
     for bone, name in enumerate(skeleton.tree.bones):
@@ -168,24 +171,14 @@ def _angles(
             local = R_rest_parent.T @ rotations[:, index[name]] @ rest[bone]
             dofs = [d for d, carried in enumerate(skeleton.tree.dof_bones) if carried == bone]
             angles[:, dofs] = hinge_angles(skeleton, dofs, local)
-            _check_rotations(path, name, armature, local_turns(skeleton, angles)[:, bone], local)
+            # The angle between ours and the armature's; of unknown poses nothing is asked.
+            traces = np.einsum("tij,tij->t", local_turns(skeleton, angles)[:, bone], local)
+            off = np.nan_to_num(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
+            if off.max() > MAX_ROTATION_ERROR_RAD:
+                i = int(off.argmax())
+                problem = f"rotated {np.degrees(off[i]):.1f}° in a way that our joint cannot rotate"
+                raise InputError(path, f"{name} at {armature.times[i]:g} s: {problem}")
     return angles
-
-
-def _check_rotations(
-    path: str | Path, name: str, armature: Armature, R_ours: np.ndarray, R_armature: np.ndarray
-) -> None:
-    """InputError where our hinges do not turn a bone (T, 3, 3) as the armature does."""
-    # The angle between the two; of unknown poses nothing is asked.
-    traces = np.einsum("tij,tij->t", R_ours, R_armature)
-    angles = np.nan_to_num(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
-    if angles.max() > MAX_ROTATION_ERROR_RAD:
-        i = int(angles.argmax())
-        raise InputError(
-            path,
-            f"{name} at {armature.times[i]:g} s: rotated {np.degrees(angles[i]):.1f}° in a way "
-            "that our joint cannot rotate",
-        )
 
 
 def _skeleton_of(

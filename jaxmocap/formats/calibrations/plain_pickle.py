@@ -55,21 +55,12 @@ class _Dtype:
     code: str
     order: str = "<"
 
-    def take(self, state: Any) -> None:
-        """Its state is the order of its bytes."""
-        self.order = state[1]
-
 
 @dataclass
 class _Array:
     """An array whose state comes later."""
 
     value: np.ndarray | None = None
-
-    def take(self, state: Any) -> None:
-        """Its state is all of it."""
-        _, shape, dtype, fortran, content = state
-        self.value = _array(dtype, shape, content, "F" if fortran else "C")
 
 
 def _array(dtype: Any, shape: Any, content: Any, order: Any) -> np.ndarray:
@@ -105,10 +96,15 @@ _FUNCTIONS = {
 
 
 def _build(unpickler: Any) -> None:
+    """A state: all of an array, or the order of its numbers' bytes."""
     state, target = unpickler.stack.pop(), unpickler.stack[-1]
-    if not isinstance(target, _Array | _Dtype):
+    if isinstance(target, _Array):
+        _, shape, dtype, fortran, content = state
+        target.value = _array(dtype, shape, content, "F" if fortran else "C")
+    elif isinstance(target, _Dtype):
+        target.order = state[1]
+    else:
         raise _RefusedError("a state of what is no array")
-    target.take(state)
 
 
 class _Unpickler(pickle._Unpickler):

@@ -24,10 +24,9 @@ from jaxmocap.formats.cameras.calibration import (
 from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable, file_name_problem, same_file_name
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP
-from jaxmocap.formats.time_series.tables import FARTHEST_M
+from jaxmocap.formats.time_series.tables import FARTHEST_M, UNITS
 
 UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "in": "inches"}
-METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 # "minus-y" is what Pose2Sim does with OpenCap's: world = (-x, -z, -y).
 R_WORLD_OF_SOURCE_UP = R_WORLD_OF_UP | {
     "x": np.eye(3)[[1, 2, 0]],
@@ -66,7 +65,7 @@ def convert_calibration(
     Args:
         source: file or folder; which system's is found by its content.
         target: the .toml file.
-        unit: of the source's lengths, a key of ``METRES_PER_UNIT``; None is what it states, or what
+        unit: of the source's lengths, a key of ``UNITS``; None is what it states, or what
             is usual for its system.
         up: the source's axis that points up, a key of ``R_WORLD_OF_SOURCE_UP``; None is likewise.
         size: width and height of the pictures, where the source does not state them.
@@ -95,7 +94,7 @@ def convert_calibration(
     if unit is None and not calibration.states_unit:
         farthest = max(float(np.linalg.norm(each["translation"])) for each in sections.values())
         if farthest > FARTHEST_ASSUMED_M:
-            distance = f"{farthest / METRES_PER_UNIT[its_unit]:.0f} {its_unit}"
+            distance = f"{farthest / UNITS[its_unit]:.0f} {its_unit}"
             found = f"found a camera {distance} from the origin"
             raise InputError(source, f"{found}, state the unit (--unit mm)")
         assumed.append(f"assumed: lengths are in {calibration.unit} (--unit states otherwise)")
@@ -155,7 +154,7 @@ def _section(
     """A camera's section in metres and our axes; InputError where a field of it does not fit."""
     if size is not None and "size" not in fields:
         fields = TomlTable(fields.path, fields.where, fields.entries | {"size": size})
-    in_metres = METRES_PER_UNIT[unit]
+    in_metres = UNITS[unit]
     lens = read_lens(fields)
     R_cam_source, translation = read_place(fields, UNIT_NAMES[unit], FARTHEST_M / in_metres)
     if abs(lens.matrix[1, 0]) > 0:

@@ -47,7 +47,7 @@ class SourceCalibration:
     Attributes:
         cameras: name and section of each: size (missing where the file does not state it), matrix,
             distortions, fisheye, rotation and translation as in our own files.
-        unit: of its lengths, a key of ``registry.METRES_PER_UNIT``.
+        unit: of its lengths, a key of ``tables.UNITS``.
         up: its axis that points up, a key of ``registry.R_WORLD_OF_SOURCE_UP``.
         states_unit: whether the unit is the system's own; else a user may state another.
         assumed_up: what was assumed about the axis, where it is not documented; else empty.

@@ -7,7 +7,7 @@ OUTPUTS: Addresses; networks of senders.
 import re
 import socket
 from collections.abc import Sequence
-from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
+from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 from typing import Any, NamedTuple
 
 from jaxmocap.formats.files.errors import InputError, short_repr
@@ -44,10 +44,8 @@ class Address(NamedTuple):
     @property
     def is_loopback(self) -> bool:
         """Is it reached from this machine alone?"""
-        try:
-            return ip_address(self.host).is_loopback
-        except ValueError:
-            return self.host == "localhost"
+        address = _number(self.host)
+        return self.host == "localhost" if address is None else address.is_loopback
 
 
 def read_address(fields: TomlTable, key: str, default: Address) -> Address:
@@ -67,18 +65,18 @@ def read_address(fields: TomlTable, key: str, default: Address) -> Address:
             host = host[1:-1]
     is_name = len(host) <= MAX_HOST_CHARACTERS and _HOST.fullmatch(host)
     is_port = isinstance(port, int) and not isinstance(port, bool) and 1 <= port <= MAX_PORT
-    if not is_port or (host and not is_name and not _is_ip_address(host)):
+    if not is_port or (host and not is_name and not (_number(host) and host.isprintable())):
         expected = f"an address such as '{default}', or a port from 1 to {MAX_PORT}"
         raise fields.error(key, f"found {short_repr(value)}, expected {expected}")
     return Address(host or default.host, port)
 
 
-def _is_ip_address(host: str) -> bool:
+def _number(host: str) -> IPv4Address | IPv6Address | None:
+    """A host's number, where it is stated by that."""
     try:
-        ip_address(host)
+        return ip_address(host)
     except ValueError:
-        return False
-    return host.isprintable()
+        return None
 
 
 def resolve_address(address: Address) -> tuple[socket.AddressFamily, Any]:
@@ -128,11 +126,8 @@ def _network(text: Any) -> Network | None:
 
 def is_in_networks(host: str, networks: Sequence[Network]) -> bool:
     """Is a host, by its number, in one of the networks?"""
-    try:
-        address = ip_address(host)
-    except ValueError:
-        return False
+    address = _number(host)
     # What listens to both kinds sees one kind's numbers within the other's.
     if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
         address = address.ipv4_mapped
-    return any(address in network for network in networks)
+    return address is not None and any(address in network for network in networks)

@@ -79,10 +79,6 @@ class _Short(reprlib.Repr):
         """Whole numbers of any length: Python refuses to print those of thousands of digits."""
         return repr(x) if x.bit_length() < 128 else f"a whole number of {x.bit_length()} bits"
 
-    def repr_float(self, x: float, level: int) -> str:
-        """As Python has it."""
-        return repr(x)
-
 
 _short = _Short()
 

@@ -132,16 +132,6 @@ def _lever_axes(skeleton: Skeleton, bone: str) -> dict[str, np.ndarray]:
     return {"xyz"[i]: np.eye(3)[i] for i in across}
 
 
-def bone_point_positions(
-    skeleton: Skeleton,
-    places: Sequence[MarkerPlace],
-    positions_world: np.ndarray,
-    R_world_marker: np.ndarray,
-) -> np.ndarray:
-    """Where the points of ``bone_points`` are; see ``bone_point_binder``."""
-    return bone_point_binder(skeleton, places)(positions_world, R_world_marker)
-
-
 def bone_point_binder(
     skeleton: Skeleton, places: Sequence[MarkerPlace]
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:

@@ -21,7 +21,7 @@ from jaxmocap.formats.marker_sets.sets import SET_KEYS, MarkerSet, PlacedMarkers
 from jaxmocap.formats.recordings.filters import FILTER_KEYS, Filters, read_filters
 from jaxmocap.formats.recordings.marker_places import (
     MarkerPlace,
-    bone_point_positions,
+    bone_point_binder,
     bone_points,
     check_bones,
     need_wrists,
@@ -257,9 +257,10 @@ def _bone_points(
 ) -> tuple[np.ndarray, tuple[MarkerPlace, ...]]:
     """Points on bones (T, P, 3), world, metres, that the markers measure, and their places."""
     check_bones(path, places, skeleton)
-    # Of a long recording without any, a whole array would take as much as three of positions.
-    orientations = np.broadcast_to(np.nan, (*markers.positions.shape, 3))
-    orientations = orientations if markers.orientations is None else markers.orientations
+    orientations = markers.orientations
+    if orientations is None:
+        # Of a long recording, a whole array would take as much as three of positions.
+        orientations = np.broadcast_to(np.nan, (*markers.positions.shape, 3))
     for i, place in enumerate(places):
         if place.needs_orientation and not np.isfinite(orientations[:, i]).any():
             key = "offset_in = 'marker'" if place.orientation is None else "turn"
@@ -267,8 +268,8 @@ def _bone_points(
             raise InputError(path, f"[markers.on] {short_name(place.name)}: {problem}")
     if not any(place.needs_orientation for place in places):
         return markers.positions, bone_points(skeleton, places)
-    positions = bone_point_positions(skeleton, places, markers.positions, orientations)
-    return positions, bone_points(skeleton, places)
+    bind = bone_point_binder(skeleton, places)
+    return bind(markers.positions, orientations), bone_points(skeleton, places)
 
 
 def write_recording(

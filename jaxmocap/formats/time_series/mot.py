@@ -50,11 +50,10 @@ def write_mot(path: str | Path, motion: Motion) -> list[str]:
     _, quaternion, angles = map(np.asarray, motion.poses)
     positions, count = motion.positions_world, len(motion.times)
 
-    def turns_of(rows: Index) -> np.ndarray:
-        return matrices(quaternion[rows].astype(float))[:, None]
-
     ranges = np.radians([(FREE, (-90, 90), FREE)])
-    R_world_pelvis = ComputedRows((count, 1, 3, 3), turns_of)
+    R_world_pelvis = ComputedRows(
+        (count, 1, 3, 3), lambda rows: matrices(quaternion[rows].astype(float))[:, None]
+    )
     turns = continuous_euler(R_world_pelvis, _EULER_ORDER, ranges, motion.times)[:, 0]
 
     def table(rows: Index) -> np.ndarray:
@@ -172,7 +171,6 @@ def motion_from_angles(
     R_world_pelvis = Rotation.from_euler(
         _EULER_ORDER, np.where(is_finite[:, None], table[:, 3:6], 0.0)
     )
-    quaternion = R_world_pelvis.as_quat(scalar_first=True)
-    quaternion = np.where(is_finite[:, None], quaternion, np.nan)
-    parts: list[Any] = [table[:, :3], quaternion, table[:, 6:]]
+    turned = np.where(is_finite[:, None], R_world_pelvis.as_quat(scalar_first=True), np.nan)
+    parts: list[Any] = [table[:, :3], turned, table[:, 6:]]
     return near_origin(Motion(skeleton, times, Pose(*parts)))

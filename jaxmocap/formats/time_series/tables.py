@@ -32,6 +32,8 @@ SMALLEST_M = 1e-6
 MAX_NAME_CHARACTERS = 200
 # Units of length that marker files state.
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+# And those that a user may state of files that state none.
+UNITS = METRES_PER_UNIT | {"in": 0.0254}
 # Of a count in a header.
 _MAX_DIGITS = 18
 

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.motion import Motion
+from jaxmocap.body.orientations import matrices, quaternions
 from jaxmocap.body.pose import Pose
 from jaxmocap.formats.armatures.armature import Armature
 from jaxmocap.formats.files.errors import InputError
@@ -154,16 +155,8 @@ def resampled_motion(motion: Motion, times: np.ndarray) -> Motion:
     """A motion at (N,) other times; its report is dropped."""
     at = interpolation_at(motion.times, times)
     position, quaternion, angles = (np.asarray(part, float) for part in motion.poses)
-    is_finite = np.isfinite(quaternion.sum(-1, keepdims=True))
-    safe = np.where(is_finite, quaternion, [1.0, 0, 0, 0])
-    R = np.where(
-        is_finite[..., None], Rotation.from_quat(safe, scalar_first=True).as_matrix(), np.nan
-    )
-    R_then = slerp(R, at)
-    is_finite = np.isfinite(R_then.sum((-2, -1)))[:, None]
-    rotations = Rotation.from_matrix(np.where(is_finite[..., None], R_then, np.eye(3)))
-    quaternion = np.where(is_finite, rotations.as_quat(scalar_first=True), np.nan)
-    parts: list[Any] = [lerp(position, at), quaternion, lerp(angles, at)]
+    turned = quaternions(slerp(matrices(quaternion), at))
+    parts: list[Any] = [lerp(position, at), turned, lerp(angles, at)]
     return replace(motion, times=times, poses=Pose(*parts), report=None)
 
 

@@ -1,4 +1,0 @@
-"""Samples over time made regular: other rates, and gaps.
-
-Begin with ``resampling``.
-"""
