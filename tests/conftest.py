@@ -49,12 +49,10 @@ EFFORTS["full"] = {"xla_backend_optimization_level": 1}
 # Tracing makes many objects that stay: to go through all of them again and again takes a tenth of
 # its time.
 gc.set_threshold(200_000, 20, 100)
-# A tmp_path that examples share is fine: each of them overwrites what it reads.
-PASSED_OVER = [HealthCheck.function_scoped_fixture]
-settings.register_profile(
-    "tests", deadline=None, max_examples=25, derandomize=True, suppress_health_check=PASSED_OVER
-)
+settings.register_profile("tests", deadline=None, max_examples=25, derandomize=True)
 settings.load_profile("tests")
+# A tmp_path that examples share is fine: each of them overwrites what it reads.
+shared_folder = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 # How far float32 may lie from the same in double precision: the absolute error allowed.
 FLOAT32_TOLERANCES = {

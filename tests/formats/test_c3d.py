@@ -7,7 +7,7 @@ from pathlib import Path
 import ezc3d
 import numpy as np
 import pytest
-from conftest import disk_full_at, problem_of
+from conftest import disk_full_at, problem_of, shared_folder
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -50,6 +50,7 @@ def foreign(path: Path, points: np.ndarray, unit: str | None = "mm", labels=None
     return path
 
 
+@shared_folder
 @given(marked())
 def test_markers_survive_a_round_trip_with_gaps_times_and_residuals(tmp_path, markers):
     write_c3d(tmp_path / "a.c3d", markers)

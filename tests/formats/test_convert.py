@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import complaint, poses
+from conftest import complaint, poses, shared_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_body import SAMPLES, moving_body, with_parts
@@ -35,7 +35,7 @@ def options(suffix: str, folder) -> ConversionOptions:
 
 
 @pytest.mark.parametrize("suffix", ["bvh", "glb", "mot"])
-@settings(max_examples=15)
+@settings(shared_folder, max_examples=15)
 @given(st.lists(poses(), min_size=3, max_size=3))
 def test_a_motion_survives_the_way_there_and_back(tmp_path, suffix, drawn):
     """Joints, turns and bone lengths; of angles in the hinges' lock only the turn is one."""

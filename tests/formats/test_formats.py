@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import problem_of
+from conftest import problem_of, shared_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -69,7 +69,7 @@ def recorded_points(draw):
 
 
 @pytest.mark.parametrize("format", WRITERS)
-@settings(max_examples=40)
+@settings(shared_folder, max_examples=40)
 @given(recorded_points())
 def test_markers_survive_a_round_trip_with_their_gaps(tmp_path, format, recorded):
     times, points = recorded
@@ -241,7 +241,7 @@ def calibration_text(**changes: str | None) -> str:
     hnp.arrays(float, 3, elements=st.floats(-10, 10)),
     st.lists(st.floats(-0.5, 0.5), max_size=8),
 )
-@settings(max_examples=40)
+@settings(shared_folder, max_examples=40)
 def test_cameras_survive_a_round_trip(tmp_path, rotation, translation, distortion):
     matrix = [[500.0, 0.0, 320.0], [0.0, 510.0, 240.0], [0.0, 0.0, 1.0]]
     camera = Camera.create((640, 480), np.array(matrix), distortion, rotation, translation)
