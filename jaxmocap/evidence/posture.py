@@ -28,6 +28,18 @@ UNMARKED_FACING = 3.0
 # Landmarks that usually are somewhere, in this order.
 USUAL = ("elbow_l", "elbow_r", "ankle_l", "ankle_r", "pelvis")
 USUAL_ROWS = landmark_rows(USUAL)
+TRUNK_AND_LEGS = landmark_rows(
+    ("pelvis", "neck", "hip_l", "hip_r", "knee_l", "knee_r", "ankle_l", "ankle_r")
+)
+# People who bend their legs may bow: the sine of the trunk's lean is up to so many times the share
+# by which legs are shortened.
+BOW = 1.8
+# Its ends are as soft as this.
+SOFT = 0.02
+# What is shorter has no direction, metres.
+NOWHERE_M = 1e-6
+# Groups whose joints bear the body.
+BEARING = ("spine", "head", "hip", "leg")
 
 
 @settings
@@ -35,13 +47,18 @@ class RelaxedPosture(Term):
     """Joints at ease."""
 
     errors_last: ClassVar[bool] = True
-    ease: Array = traced(1.0, "of joints about the relaxed pose, as a multiple of what is usual")
+    ease: Array = traced(
+        1.0, "of arms' joints about the relaxed pose, as a multiple of what is usual"
+    )
+    bearing: Array = traced(1.0, "the same of joints that bear the body: of trunk, neck and legs")
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(D,)."""
         skeleton = model.skeleton
         away = body.pose.angles - skeleton.relaxed
-        return away / (self.ease * skeleton.usual_deviations)
+        bear = np.isin(skeleton.tree.groups_of_joints, BEARING)
+        ease = jnp.where(bear, self.bearing, self.ease)
+        return away / (ease * skeleton.usual_deviations)
 
 
 @settings
@@ -61,26 +78,51 @@ class Pelvis(Term):
     """The pelvis as the markers' own pose has it.
 
     Measured ``upright`` (2,), the horizontal part of its z axis there, and ``facing`` (3,), unit
-    and horizontal.
+    and horizontal. Where no marker holds a foot, the trunk is upright, or bowed over bent legs.
     """
 
     errors_last: ClassVar[bool] = True
     lean: Array = traced(
         0.1,
-        "of its upright about that of the markers' pose, radians; about the vertical where no "
-        "marker holds the feet",
+        "of its upright about that of the markers' pose, radians; where no marker holds the feet, "
+        "of the trunk beyond the vertical and what legs so bent let it bow to",
     )
     facing: Array = traced(
         0.1, "of where it faces, radians; thrice that where no marker holds the feet"
     )
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
-        """(3,)."""
+        """(3,), or (4,) where no marker holds a foot."""
         R, unmarked = body.R_world_pelvis, model.no_foot_is_marked
-        upright = R[:2, 2] if unmarked else R[:2, 2] - measured["upright"]
         turn = jnp.cross(R[:, 0], measured["facing"])[2:]
         facing = self.facing * (UNMARKED_FACING if unmarked else 1.0)
-        return jnp.concatenate([upright / self.lean, turn / facing])
+        upright = R[:2, 2] - measured["upright"]
+        upright = self._off_upright(body) if unmarked else upright / self.lean
+        return jnp.concatenate([upright, turn / facing])
+
+    def _off_upright(self, body: PosedBody) -> Array:
+        """(3,) of the trunk: back of the vertical, ahead of where it bows to, and aside."""
+        points = body.landmarks[TRUNK_AND_LEGS]
+        hips, knees, ankles = points[2:].reshape(3, 2, 3)
+        stretched = _length(hips - knees) + _length(knees - ankles)
+        bent = jnp.mean(1 - _length(hips - ankles) / stretched)
+        trunk = points[1] - points[0]
+        ahead = body.R_world_pelvis[:2, 0]
+        ahead, trunk = ahead / _length(ahead), trunk[:2] / _length(trunk)
+        lean, aside = jnp.dot(trunk, ahead), ahead[0] * trunk[1] - ahead[1] * trunk[0]
+        others = jnp.stack([_excess(lean - BOW * bent), aside])
+        back = -_excess(-lean)[None] / self.lean
+        return jnp.concatenate([back, shortened((others / self.lean)[:, None])[:, 0]])
+
+
+def _excess(values: Array) -> Array:
+    """What is above 0, softly."""
+    return (values + jnp.sqrt(values**2 + SOFT**2)) / 2
+
+
+def _length(vectors: Array) -> Array:
+    """(...) of vectors (..., N)."""
+    return jnp.sqrt(jnp.sum(vectors**2, -1) + NOWHERE_M**2)
 
 
 # Every joint has this share of the effort at least: some bear no weight, and are relaxed too.

@@ -26,7 +26,7 @@ from jaxmocap.reference.kinematics import (
 PROPORTIONS = (("spine", 0.08), ("shoulder", 0.08))
 # Errors of these last: they count once for as long as ``persistence``, in the deviations.
 LASTING = ("pelvis", "posture", "ground", "balance")
-KEYPOINT_TAILS = 5.0
+TAILS = 5.0
 STEP = 1e-6
 
 
@@ -71,16 +71,19 @@ def frame_values(problem: Problem, x: np.ndarray, t: int) -> np.ndarray:
     elbows = np.array([at["elbow_l"], at["elbow_r"]])
     base = np.mean([*ankles, at["toe_l"], at["toe_r"]], axis=0)
     low, high = np.asarray(skeleton.limits, float).T
-    # What is off, and its deviation; where no marker holds the feet, the pelvis is about the
-    # vertical, and faces thrice less surely.
+    # What is off, and its deviation; where no marker holds the feet, the pelvis is upright over
+    # straight legs, and faces thrice less surely.
     turn = np.cross(R[:, 0], measured["facing"])[2]
-    lean, facing = settings.pelvis.lean, 3 * float(settings.pelvis.facing)
+    lasting = np.sqrt(problem.persistence)
+    lean, facing = float(settings.pelvis.lean), 3 * float(settings.pelvis.facing)
     place, height = settings.ground.place, settings.ground.height
-    usual = float(settings.posture.ease) * np.asarray(skeleton.usual_deviations, float)
+    bears = np.isin(skeleton.tree.groups_of_joints, ("spine", "head", "hip", "leg"))
+    ease = np.where(bears, float(settings.posture.bearing), float(settings.posture.ease))
+    usual = ease * np.asarray(skeleton.usual_deviations, float)
     at_markers = site_positions(skeleton, frames, model.markers)
     terms = {
         "markers": (at_markers - measured["markers"], settings.markers.deviation),
-        "pelvis": ([*R[:2, 2], turn], [lean, lean, facing]),
+        "pelvis": ([*lasting * off_upright(lasting * lean, R, at), turn], [1, 1, 1, facing]),
         "posture": (pose.angles - skeleton.relaxed, usual),
         "limits": (pose.angles - np.clip(pose.angles, low, high), settings.limits.deviation),
         "ground": (ankles - measured["ankles"], [place, place, height]),
@@ -90,10 +93,29 @@ def frame_values(problem: Problem, x: np.ndarray, t: int) -> np.ndarray:
     }
     residuals = []
     for name, (off, deviation) in terms.items():
-        lasting = np.sqrt(problem.persistence) if name in LASTING else 1.0
-        residuals += list(np.ravel(off / (lasting * np.asarray(deviation, float))))
+        often = lasting if name in LASTING else 1.0
+        residuals += list(np.ravel(off / (often * np.asarray(deviation, float))))
     # What is missing counts nothing.
     return np.concatenate([np.nan_to_num(residuals), points.ravel()])
+
+
+def off_upright(lean: float, R: np.ndarray, at: dict[str, np.ndarray]) -> np.ndarray:
+    """(3,) of the trunk above a pelvis R (3, 3), in its deviations: back, too far ahead, aside.
+
+    Whoever bends the legs may bow. Student's t's tails ahead and aside.
+    """
+    bent = []
+    for side in "lr":
+        hip, knee, ankle = (at[f"{joint}_{side}"] for joint in ("hip", "knee", "ankle"))
+        stretched = np.linalg.norm(hip - knee) + np.linalg.norm(knee - ankle)
+        bent.append(1 - np.linalg.norm(hip - ankle) / stretched)
+    trunk = (at["neck"] - at["pelvis"]) / np.linalg.norm(at["neck"] - at["pelvis"])
+    ahead = R[:2, 0] / np.linalg.norm(R[:2, 0])
+    bow, aside = trunk[:2] @ ahead, trunk[:2] @ [-ahead[1], ahead[0]]
+    too_far, back = ((x + np.hypot(x, 0.02)) / 2 for x in (bow - 1.8 * np.mean(bent), -bow))
+    others = np.array([too_far, aside]) / lean
+    others = np.sign(others) * np.sqrt(TAILS * np.log1p(others**2 / TAILS))
+    return np.array([-back / lean, *others])
 
 
 def off_lines(problem: Problem, points: np.ndarray, t: int) -> np.ndarray:
@@ -102,7 +124,7 @@ def off_lines(problem: Problem, points: np.ndarray, t: int) -> np.ndarray:
     deviation = float(problem.settings.keypoints.deviation)
     for origin, ways, sure in zip(*(np.asarray(part, float)[t] for part in lines), strict=True):
         across = np.cross(ways, points - origin) * sure[:, None] / deviation
-        ratio = np.sum(across**2, 1, keepdims=True) / KEYPOINT_TAILS
+        ratio = np.sum(across**2, 1, keepdims=True) / TAILS
         off.append(across * np.sqrt(np.log1p(ratio) / np.where(ratio > 0, ratio, 1)))
     return np.array(off)
 

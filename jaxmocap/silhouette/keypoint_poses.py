@@ -63,7 +63,7 @@ class KeypointPoseSettings:
 
     keypoints: KeyPoints = group(lambda: KeyPoints(deviation=0.015), "of key points")  # type: ignore[arg-type]
     posture: RelaxedPosture = group(
-        lambda: MostlyRelaxedPosture(ease=0.3),  # type: ignore[arg-type]
+        lambda: MostlyRelaxedPosture(ease=0.3, bearing=0.3),  # type: ignore[arg-type]
         "of most joints at ease",
     )
     range: RelaxedPosture = group(RelaxedPosture, "of all joints about ease")

@@ -41,7 +41,7 @@ from jaxmocap.smoothing.problem import (
     Views,
     all_turned,
 )
-from jaxmocap.smoothing.settings import SmoothingSettings
+from jaxmocap.smoothing.settings import SmoothingSettings, weighed_by_time
 from jaxmocap.smoothing.uncertainty import leave_one_out, with_deviations
 
 # Cells over which silhouettes fade, from solve to solve: roughly at first,
@@ -160,9 +160,10 @@ def solve_recording(
     if not cameras:
         return None
     measured = measurements_of(model, first_pass)
+    stated, settings = settings, weighed_by_time(settings, first_pass.times)
     if model.no_foot_is_marked:
         by_markers = first_pass.reports.marker_pose
-        measured["facing"] = facing_in_time(model, settings, first_pass.times, measured, by_markers)
+        measured["facing"] = facing_in_time(model, stated, first_pass.times, measured, by_markers)
 
     def measured_about(trajectory: Trajectory) -> SmoothingProblem:
         views = _views(model, cameras, trajectory)

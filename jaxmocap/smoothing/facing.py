@@ -28,7 +28,7 @@ from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import UNTURNED, SmoothingProblem, Trajectory, Views
-from jaxmocap.smoothing.settings import SmoothingSettings
+from jaxmocap.smoothing.settings import SmoothingSettings, weighed_by_time
 
 # Standard deviation of the average over the time around, seconds.
 AROUND_S = 0.5
@@ -77,7 +77,7 @@ def facing_in_time(
     lengths = settings.proportions * len(rows)
     problem = SmoothingProblem(
         model,
-        replace(settings, pelvis=pelvis, proportions=lengths),
+        weighed_by_time(replace(settings, pelvis=pelvis, proportions=lengths), times[rows]),
         times[rows],
         jax.tree.map(lambda part: part[rows], measured),
         Views.no_cameras(),

@@ -34,7 +34,7 @@ from jaxmocap.evidence.shapes import checked_measurements, checked_pose
 from jaxmocap.evidence.smoothness import second_differences
 from jaxmocap.evidence.terms import Measurements, residuals
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.smoothing.settings import SmoothingSettings
+from jaxmocap.smoothing.settings import SmoothingSettings, weighed_by_time
 from jaxmocap.solvers.block_bands import BlockBands, solve_block_banded
 from jaxmocap.solvers.descent import tree_where
 from jaxmocap.solvers.optimum import following
@@ -133,6 +133,7 @@ def smooth_events(model: Model, settings: SmoothingSettings, events: Events) -> 
         settings: of smoothing; their terms take part that find their measurements.
         events: T of them, 3 at least.
     """
+    settings = weighed_by_time(settings, events.times)
     problem = _Problem(model, settings, events.times, events.measured)
     constant, start = jax.lax.stop_gradient((problem, events.poses))
     poses = following(_moved, problem, jax.lax.stop_gradient(_descended(constant, start)))

@@ -4,9 +4,12 @@ INPUTS: what a user tunes. OUTPUTS: a pytree of arrays.
 """
 
 from dataclasses import fields
+from typing import Any
 
+import jax
 from jax import Array
 
+from jaxmocap.compilation.arrays import Numbers, namespace
 from jaxmocap.compilation.settings import group, settings, static, traced
 from jaxmocap.evidence.balance import Balance
 from jaxmocap.evidence.ground import Ground
@@ -28,21 +31,43 @@ class ElbowPathSettings:
     largest_price: Array = traced(30.0, "of any movement, nats")
 
 
+# Terms whose errors last count as if so many events a second told of them, however many do: of
+# somebody who stands unusually a thousand samples tell no more than thirty.
+LASTING_HZ = 30.0
+# Events farther apart, seconds, are a gap.
+LONGEST_STEP_S = 0.25
+
+
 @settings
 class SmoothingSettings:
     """What a user may tune of smoothing; every field that is a ``Term`` takes part."""
 
     iterations: int = static(12, "most steps of one solve")
     markers: MarkerPositions = group(MarkerPositions, "of markers about their points")
-    pelvis: Pelvis = group(Pelvis, "of how the pelvis leans and faces")
-    posture: RelaxedPosture = group(RelaxedPosture, "of joints at ease")
+    pelvis: Pelvis = group(
+        lambda: Pelvis(lean=0.035, facing=0.06),  # type: ignore[arg-type]
+        "of how the pelvis leans and faces",
+    )
+    posture: RelaxedPosture = group(
+        lambda: RelaxedPosture(bearing=0.45),  # type: ignore[arg-type]
+        "of joints at ease",
+    )
     limits: JointLimits = group(JointLimits, "of the joints' ranges")
-    ground: Ground = group(Ground, "of feet that no marker holds")
-    balance: Balance = group(Balance, "of standing in balance")
+    ground: Ground = group(
+        lambda: Ground(height=0.025, place=0.5),  # type: ignore[arg-type]
+        "of feet that no marker holds",
+    )
+    balance: Balance = group(
+        lambda: Balance(deviation=0.03),  # type: ignore[arg-type]
+        "of standing in balance",
+    )
     elbows: ElbowGoals = group(ElbowGoals, "of elbows where the path through time has them")
     keypoints: KeyPoints = group(KeyPoints, "of 2-D key points")
     silhouettes: Silhouettes = group(Silhouettes, "of what cameras show, view by view")
-    usual: UsualPlaces = group(UsualPlaces, "of landmarks where walkers have them, without video")
+    usual: UsualPlaces = group(
+        lambda: UsualPlaces(spread=0.55),  # type: ignore[arg-type]
+        "of landmarks where walkers have them, without video",
+    )
     elbow_path: ElbowPathSettings = group(ElbowPathSettings, "of the elbows' path through time")
     acceleration: Array = traced(
         3.0, "spectral density of the landmarks' accelerations, m / s^2 * sqrt(s)"
@@ -55,7 +80,7 @@ class SmoothingSettings:
         least=0,
     )
     persistence: Array = traced(
-        1.0, "for how long somebody keeps to what is unusual, seconds; for the deviations only"
+        3.0, "for how long somebody keeps to what is unusual, seconds; for the deviations only"
     )
     mismatch: Array = traced(
         1.0, "of skeletons, as a multiple of what is usual; for the deviations only"
@@ -66,3 +91,31 @@ class SmoothingSettings:
         """The terms of a frame, in the order of the fields."""
         each = (getattr(self, field.name) for field in fields(self))
         return tuple(term for term in each if isinstance(term, Term))
+
+
+def weighed_by_time(settings: SmoothingSettings, times: Numbers) -> SmoothingSettings:
+    """With terms whose errors last as if ``LASTING_HZ`` told of them.
+
+    Args:
+        settings: as they were stated.
+        times: (T,) seconds, of all events.
+    """
+    if len(times) < 2:
+        return settings
+    of = namespace(times)
+    step = of.mean(of.minimum(of.diff(times), LONGEST_STEP_S))
+    return with_lasting(settings, (step * LASTING_HZ) ** -0.5)
+
+
+def with_lasting(settings: SmoothingSettings, factor: Numbers) -> SmoothingSettings:
+    """With deviations of terms whose errors last times a factor."""
+
+    def times(deviation: Array) -> Numbers:
+        return deviation * namespace(factor).asarray(factor, deviation.dtype)
+
+    def weighed(part: Any) -> Any:
+        if isinstance(part, Term) and part.errors_last:
+            return jax.tree.map(times, part)
+        return part
+
+    return jax.tree.map(weighed, settings, is_leaf=lambda part: isinstance(part, Term))

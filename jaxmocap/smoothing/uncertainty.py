@@ -21,7 +21,7 @@ from jaxmocap.evidence.terms import Term
 from jaxmocap.smoothing.levenberg_marquardt import covariances, point_variances
 from jaxmocap.smoothing.linearise import linearise_problem, rows_of, softened, two_workers
 from jaxmocap.smoothing.problem import LeftOut, SmoothingProblem, Trajectory
-from jaxmocap.smoothing.settings import SmoothingSettings
+from jaxmocap.smoothing.settings import LASTING_HZ, SmoothingSettings, with_lasting
 
 # A landmark comes from the prior where the video leaves more than this share of its variance,
 GUESSED = 0.7
@@ -101,16 +101,8 @@ def counted_once(problem: SmoothingProblem) -> SmoothingSettings:
 
 def lasting_errors(problem: SmoothingProblem) -> SmoothingSettings:
     """Settings whose terms with lasting errors count once for as long as people keep to habits."""
-    settings, times = problem.settings, problem.times
-    step = np.median(np.diff(times)) if len(times) > 1 else 1.0
-    factor = np.sqrt(np.maximum(np.asarray(settings.persistence) / float(step), 1.0))
-
-    def weaker(part: Any) -> Any:
-        if isinstance(part, Term) and part.errors_last:
-            return jax.tree.map(lambda deviation: np.asarray(deviation) * factor, part)
-        return part
-
-    return jax.tree.map(weaker, settings, is_leaf=lambda part: isinstance(part, Term))
+    times = float(problem.settings.persistence) * LASTING_HZ
+    return with_lasting(problem.settings, np.sqrt(max(times, 1.0)))
 
 
 def _without_video(problem: SmoothingProblem) -> SmoothingProblem:

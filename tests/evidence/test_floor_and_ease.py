@@ -1,14 +1,17 @@
-"""The floor under somebody's feet, and joints most of which are at ease."""
+"""The floor under somebody's feet, joints most of which are at ease, a trunk that is upright."""
 
 from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from painted_motion import MODEL, PERSON, pose_at
 
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.evidence.ground import FeetOnFloor
-from jaxmocap.evidence.posture import MostlyRelaxedPosture
+from jaxmocap.evidence.posture import MostlyRelaxedPosture, Pelvis
+from jaxmocap.evidence.terms import posed_body
 
 
 def test_feet_stand_on_the_floor_and_nothing_lies_below_it():
@@ -29,7 +32,11 @@ def test_feet_stand_on_the_floor_and_nothing_lies_below_it():
 
 def test_most_joints_are_near_ease_and_a_few_may_be_far():
     usual = np.array([0.5, 1.0], np.float32)
-    skeleton = SimpleNamespace(relaxed=jnp.zeros(2), usual_deviations=jnp.asarray(usual))
+    skeleton = SimpleNamespace(
+        relaxed=jnp.zeros(2), usual_deviations=jnp.asarray(usual), tree=SimpleNamespace(
+            groups_of_joints=("arm", "leg")
+        )
+    )  # fmt: skip
     model, term = SimpleNamespace(skeleton=skeleton), MostlyRelaxedPosture(ease=1.0)
 
     def cost(*angles: float) -> float:
@@ -39,3 +46,27 @@ def test_most_joints_are_near_ease_and_a_few_may_be_far():
     assert cost(0.01, 0.0) == pytest.approx((0.01 / 0.5) ** 2, rel=1e-2)
     assert cost(0.0, 20.0) < 0.1 * 20.0**2
     assert cost(0.5, 1.0) == pytest.approx(cost(0.5, 0.0) + cost(0.0, 1.0), rel=1e-5)
+
+
+def off_upright(trunk: float, legs: float = 0.0) -> float:
+    """What the pelvis costs of a body that leans ahead and bends its legs by so many degrees."""
+    pose = pose_at(0.0)
+    angles = np.array(pose.angles)
+    for side in "lr":
+        angles[PERSON.tree.joint(f"knee_flexion_{side}")] = 2 * np.radians(legs)
+        angles[PERSON.tree.joint(f"hip_flexion_{side}")] = np.radians(legs + trunk)
+    lean = np.radians(trunk) / 2
+    pose = pose._replace(angles=angles, quaternion=np.array([np.cos(lean), 0, np.sin(lean), 0]))
+    pose = jax.tree.map(lambda part: jnp.asarray(part, jnp.float32), pose)
+    term, measured = Pelvis(lean=0.05), {"upright": np.zeros(2), "facing": np.eye(3)[0]}
+    residual = term.residual(MODEL, posed_body(MODEL, pose), measured)
+    return float(jnp.sum(residual**2))
+
+
+def test_who_stands_is_upright_and_who_bends_the_legs_may_bow():
+    """Nobody leans back; who sits is upright, who squats bows; touching the toes is possible."""
+    assert off_upright(0) < 0.2 and off_upright(2) < 1
+    assert off_upright(-10) > 10 and off_upright(-10, 45) > 10
+    assert off_upright(0, 45) < 0.2 and off_upright(25, 45) < 0.2
+    assert off_upright(25) > 2 * off_upright(8) > 6
+    assert off_upright(80) < 40

@@ -18,14 +18,14 @@ from jaxmocap.reference import smoothing as reference
 from jaxmocap.smoothing.functions import Events
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory
-from jaxmocap.smoothing.settings import SmoothingSettings
+from jaxmocap.smoothing.settings import LASTING_HZ, SmoothingSettings
 from jaxmocap.smoothing.uncertainty import with_deviations
 from jaxmocap.solvers.status import Status
 
 # Of the deviations, what the solve alone leaves uncertain.
 SETTINGS = SmoothingSettings(iterations=60, mismatch=0.0)
 TIMES = np.array([0.0, 0.12, 0.25, 0.36, 0.52, 0.63, 0.8])
-ROUNDS = 8
+ROUNDS = 16
 
 
 def crouching(time: float) -> Pose:
@@ -85,7 +85,10 @@ def test_the_public_smoothers_poses_are_at_the_dense_minimum():
         events = in_double(Events(TIMES, problem().measured, problem().start))
         model, settings = in_double((MODEL, Settings(smoothing=SETTINGS)))
         actual = jax.jit(jaxmocap.smooth)(model, settings, events)
-    there = problem()._replace(start=Pose(*(np.asarray(part) for part in actual.poses)))
+    there = problem()._replace(
+        start=Pose(*(np.asarray(part) for part in actual.poses)),
+        persistence=1 / (np.mean(np.diff(TIMES)) * LASTING_HZ),
+    )
     still = np.zeros(actual.poses.angles.size + 6 * len(TIMES))
     np.testing.assert_allclose(
         actual.points.reshape(len(TIMES), -1), points_of(there, still), atol=1e-9
@@ -122,6 +125,6 @@ def test_a_recordings_minimum_and_its_deviations_are_the_dense_ones():
     assert ended.cost == pytest.approx(np.sum(reference.residuals(dense, expected) ** 2), rel=1e-9)
     np.testing.assert_allclose(points_of(there, still), points_of(dense, expected), atol=1e-6)
     np.testing.assert_allclose(actual.proportions, expected[-dense.shared :], atol=1e-6)
-    lasting = float(SETTINGS.persistence) / np.median(np.diff(TIMES))
+    lasting = float(SETTINGS.persistence) * LASTING_HZ
     sure = reference.deviations(there._replace(persistence=lasting), still)
     np.testing.assert_allclose(actual.deviations, sure, rtol=1e-4)

@@ -127,7 +127,7 @@ def test_an_arm_in_the_wrong_place_is_called_back(degrees):
 
 
 def test_goals_lead_a_solve_out_of_a_valley_that_it_would_not_leave_alone():
-    start, given = Trajectory(swivelled((0.0, 110.0)), NO_CHANGE), problem(COUNT, views(COUNT))
+    start, given = Trajectory(swivelled((0.0, 140.0)), NO_CHANGE), problem(COUNT, views(COUNT))
     alone = smooth_poses(given, start, (1.5, 0.8))
     guided = given.with_measured(elbows=goals_from(start.poses))
     actual = smooth_poses(given, smooth_poses(guided, start, (1.5,)).trajectory, (1.5, 0.8))

@@ -57,7 +57,7 @@ def test_what_is_left_out_counts_as_if_it_had_not_been_there(left_out):
     for camera, other in ((0, 1), (1, 0)):
         alone = problem(COUNT, views(COUNT, (other,)))
         np.testing.assert_allclose(of(left_out, "camera", camera), stated(alone), rtol=1e-5)
-    vain = replace(SETTINGS, posture=RelaxedPosture(ease=np.float32(1e4)))
+    vain = replace(SETTINGS, posture=RelaxedPosture(*[np.float32(1e4)] * 2))
     expected = stated(replace(everything, settings=vain))
     np.testing.assert_allclose(of(left_out, "prior", "posture"), expected, rtol=1e-4)
 

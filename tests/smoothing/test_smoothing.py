@@ -34,6 +34,7 @@ from jaxmocap.evidence.terms import residuals
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import Trajectory
 from jaxmocap.smoothing.uncertainty import with_deviations
+from jaxmocap.solvers.robust import TAILS
 from jaxmocap.solvers.status import Status
 
 # One more than a batch of views, so that a second batch holds one of them alone.
@@ -280,7 +281,9 @@ def test_a_body_that_turns_or_leans_from_the_markers_pose_costs():
     pelvis = SETTINGS.pelvis
     facing, lean = (np.sin(0.3) ** 2 / float(s) ** 2 for s in (pelvis.facing, pelvis.lean))
     assert held[2] == pytest.approx(facing, rel=1e-2)
-    assert min(held[:2]) >= 0.99 * lean and min(free[:2]) >= 0.99 * lean
+    assert min(held[:2]) >= 0.99 * lean
+    # A trunk may be off the vertical, by Student's t.
+    assert min(free[:2]) >= 0.95 * TAILS * np.log1p(lean / TAILS)
     # Without markers on the feet it is less sure where the body faces, but not open.
     assert 0.01 * facing < free[2] < 0.5 * facing
 

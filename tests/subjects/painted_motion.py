@@ -42,6 +42,7 @@ SETTINGS = SmoothingSettings(
     silhouettes=Silhouettes(deviation=0.7, redundancy=4.0),
     acceleration=3.0,
     mismatch=1.0,
+    persistence=1.0,
 )
 MODEL = Model.create(PERSON, MARKERS, CAMERAS)
 
