@@ -100,10 +100,17 @@ def weighed_by_time(settings: SmoothingSettings, times: Numbers) -> SmoothingSet
         settings: as they were stated.
         times: (T,) seconds, of all events.
     """
-    if len(times) < 2:
-        return settings
+    return settings if len(times) < 2 else weighed_by_step(settings, mean_step(times))
+
+
+def mean_step(times: Numbers) -> Numbers:
+    """() between events at (T,) seconds."""
     of = namespace(times)
-    step = of.mean(of.minimum(of.diff(times), LONGEST_STEP_S))
+    return of.mean(of.minimum(of.diff(times), LONGEST_STEP_S))
+
+
+def weighed_by_step(settings: SmoothingSettings, step: Numbers) -> SmoothingSettings:
+    """``weighed_by_time`` of events so many seconds apart."""
     return with_lasting(settings, (step * LASTING_HZ) ** -0.5)
 
 

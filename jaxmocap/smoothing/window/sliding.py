@@ -25,7 +25,12 @@ from jaxmocap.evidence.smoothness import REACH
 from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.smoothing.linearise import frames_fit
-from jaxmocap.smoothing.settings import SmoothingSettings
+from jaxmocap.smoothing.settings import (
+    LASTING_HZ,
+    SmoothingSettings,
+    mean_step,
+    weighed_by_step,
+)
 from jaxmocap.smoothing.window.arm_search import search_arms, with_arm_there
 from jaxmocap.smoothing.window.equations import (
     LinearEvent,
@@ -55,6 +60,8 @@ MOST_STEPS = 3
 LINEAR_M = 0.005
 # Events per call, so that they compile once.
 EVENTS_A_CALL = 4
+# Terms are weighed anew where the time between events has changed by this share.
+RATE_CHANGED = 0.2
 # A silhouette's quadratic holds while no landmark moves farther than this, metres: about half a
 # cell, over which its borders fade.
 NEAR_M = 0.012
@@ -103,6 +110,8 @@ class Window:
     def __init__(self, model: Model, settings: SmoothingSettings):
         """Prepare for a model with cameras."""
         self._model, self._settings = model, settings
+        # Between events, seconds, and the terms weighed by it.
+        self._weighed: tuple[float, tuple[Term, ...]] = (1 / LASTING_HZ, settings.terms)
         # Frames look at no camera: one crossing less for each of its arrays.
         self._blind = replace(model, cameras=None)
         self.cameras = [model.camera(index) for index in range(model.camera_count)]
@@ -194,13 +203,21 @@ class Window:
     def _linear_events(self, events: Sequence[WindowEvent], poses: np.ndarray) -> list[LinearEvent]:
         """Events about packed poses (T, 7 + D), without their silhouettes."""
         measured = jax.tree.map(lambda *parts: np.stack(parts), *(e.measured for e in events))
-        terms = self._settings.terms
+        terms = self._terms()
         parts = in_batches(
             lambda *batch: _events_fit(terms, self._blind, *batch),
             (poses, measured),
             EVENTS_A_CALL,
         )
         return [LinearEvent(*each) for each in zip(poses, *parts, strict=True)]
+
+    def _terms(self) -> tuple[Term, ...]:
+        """Those of the settings, weighed by how far the window's events are apart."""
+        if len(self.events) > REACH:
+            step = mean_step(np.array([event.time for event in self.events]))
+            if abs(step / self._weighed[0] - 1) > RATE_CHANGED:
+                self._weighed = step, weighed_by_step(self._settings, step).terms
+        return self._weighed[1]
 
     def _drawn(
         self, event: WindowEvent, pose: np.ndarray, points: np.ndarray
