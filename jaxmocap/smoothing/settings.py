@@ -31,8 +31,8 @@ class ElbowPathSettings:
     largest_price: Array = traced(30.0, "of any movement, nats")
 
 
-# Terms whose errors last count as if so many events a second told of them, however many do: of
-# somebody who stands unusually a thousand samples tell no more than thirty.
+# Terms whose errors last count like so many events a second, however many there are: a thousand
+# samples of somebody who stands unusually are no more evidence than thirty.
 LASTING_HZ = 30.0
 # Events farther apart, seconds, are a gap.
 LONGEST_STEP_S = 0.25
@@ -94,7 +94,7 @@ class SmoothingSettings:
 
 
 def weighed_by_time(settings: SmoothingSettings, times: Numbers) -> SmoothingSettings:
-    """With terms whose errors last as if ``LASTING_HZ`` told of them.
+    """With terms whose errors last counted like ``LASTING_HZ`` events a second.
 
     Args:
         settings: as they were stated.

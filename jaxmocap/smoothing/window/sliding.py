@@ -60,7 +60,7 @@ MOST_STEPS = 3
 LINEAR_M = 0.005
 # Events per call, so that they compile once.
 EVENTS_A_CALL = 4
-# Terms are weighed anew where the time between events has changed by this share.
+# Terms are weighed again where the time between events has changed by this share.
 RATE_CHANGED = 0.2
 # A silhouette's quadratic holds while no landmark moves farther than this, metres: about half a
 # cell, over which its borders fade.
