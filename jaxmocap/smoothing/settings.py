@@ -100,18 +100,15 @@ def weighed_by_time(settings: SmoothingSettings, times: Numbers) -> SmoothingSet
         settings: as they were stated.
         times: (T,) seconds, of all events.
     """
-    return settings if len(times) < 2 else weighed_by_step(settings, mean_step(times))
+    if len(times) < 2:
+        return settings
+    return with_lasting(settings, (mean_step(times) * LASTING_HZ) ** -0.5)
 
 
 def mean_step(times: Numbers) -> Numbers:
     """() between events at (T,) seconds."""
     of = namespace(times)
     return of.mean(of.minimum(of.diff(times), LONGEST_STEP_S))
-
-
-def weighed_by_step(settings: SmoothingSettings, step: Numbers) -> SmoothingSettings:
-    """``weighed_by_time`` of events so many seconds apart."""
-    return with_lasting(settings, (step * LASTING_HZ) ** -0.5)
 
 
 def with_lasting(settings: SmoothingSettings, factor: Numbers) -> SmoothingSettings:

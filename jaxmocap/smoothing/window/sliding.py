@@ -25,12 +25,7 @@ from jaxmocap.evidence.smoothness import REACH
 from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.smoothing.linearise import frames_fit
-from jaxmocap.smoothing.settings import (
-    LASTING_HZ,
-    SmoothingSettings,
-    mean_step,
-    weighed_by_step,
-)
+from jaxmocap.smoothing.settings import LASTING_HZ, SmoothingSettings, mean_step, weighed_by_time
 from jaxmocap.smoothing.window.arm_search import search_arms, with_arm_there
 from jaxmocap.smoothing.window.equations import (
     LinearEvent,
@@ -214,9 +209,10 @@ class Window:
     def _terms(self) -> tuple[Term, ...]:
         """Those of the settings, weighed by how far the window's events are apart."""
         if len(self.events) > REACH:
-            step = mean_step(np.array([event.time for event in self.events]))
+            times = np.array([event.time for event in self.events])
+            step = mean_step(times)
             if abs(step / self._weighed[0] - 1) > RATE_CHANGED:
-                self._weighed = step, weighed_by_step(self._settings, step).terms
+                self._weighed = step, weighed_by_time(self._settings, times).terms
         return self._weighed[1]
 
     def _drawn(
