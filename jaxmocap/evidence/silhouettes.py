@@ -45,6 +45,8 @@ from jaxmocap.images.silhouette_grid import (
 
 # Parts of the arms that have silhouettes of their own.
 FOREARMS = ("forearm", "hand")
+# Limbs whose thickness tells their distance; flesh and clothes of all others vary by more.
+THICK_AS_SEEN = ("arm", "head")
 # A limb is hidden by what lies in front of its axis by more than this, metres:
 HIDDEN_BEYOND_M = 0.06
 # and over so many metres more and more of it.
@@ -137,8 +139,41 @@ def project_limbs(
 ) -> tuple[Discs, Array]:
     """The body's limbs (K) in cells, and the visible share (S * S,) of a forearm."""
     flesh = cones(skeleton, frames, skeleton.tree.drawn)
-    discs = discs_in_region(grids.region, project_cones(camera, flesh))
+    discs = discs_in_region(grids.region, project_flesh(skeleton.tree, camera, flesh))
     return discs, _visible(skeleton.tree, camera, flesh, discs, grids.person)
+
+
+def project_flesh(
+    tree: Tree, camera: Camera, flesh: Cones, bones: np.ndarray | None = None
+) -> Discs:
+    """Limbs in the image, pixels, trunk and legs as thick as if they were as far as the head.
+
+    What wears clothes is thicker than drawn. By its thickness it would be nearer.
+
+    Args:
+        tree: of the person.
+        camera: that sees it.
+        flesh: of the drawn bones, or of others.
+        bones: of the flesh, a head among them; those that are drawn without it.
+    """
+    discs = project_cones(camera, flesh)
+    head, stands_in = _distance_of_head(tree, tree.drawn if bones is None else bones)
+    away = jnp.stack([_away(camera, end) for end in (flesh.near, flesh.far)], 1)
+    ratio = jnp.where(stands_in[:, None], away / away[head], 1.0)
+    return discs._replace(radii=discs.radii * ratio)
+
+
+def _distance_of_head(tree: Tree, bones: np.ndarray) -> tuple[int, np.ndarray]:
+    """Row of the head's first bone, and which limbs (K,) are as thick as if they were there."""
+    heads = np.flatnonzero(np.isin(bones, tree.bones_in("head")))
+    if not len(heads):
+        return 0, np.zeros(len(bones), bool)
+    return int(heads[0]), ~np.isin(bones, tree.bones_in(*THICK_AS_SEEN))
+
+
+def _away(camera: Camera, points_world: Array) -> Array:
+    """Depth of points, metres, in front of the camera."""
+    return jnp.maximum(depth(camera, points_world), NEAREST_M)
 
 
 def limbs_fit(
@@ -166,7 +201,7 @@ def limbs_fit(
 
 def silhouette_fit(
     skeleton: Skeleton,
-    proportions: Array,
+    proportions: Array | None,
     pose: Pose,
     camera: Camera,
     grids: SilhouetteGrids,
@@ -178,29 +213,31 @@ def silhouette_fit(
 
     Args:
         skeleton: unscaled.
-        proportions: (P,) of ``scaled``.
+        proportions: (P,) of ``scaled``; None where body and camera are as stated: N = 6 + D.
         pose: of the person.
         camera: that sees it.
         grids: what it saw.
         softness: cells.
     """
-
-    def limbs(shared: Array) -> Discs:
-        person = scaled(skeleton, shared[:-3])
-        body = cones(person, forward(person, pose), bones)
-        return discs_in_region(grids.region, project_cones(turned(camera, shared[-3:]), body))
-
     bones = skeleton.tree.drawn
-    by_shared = jax.jacfwd(limbs)(jnp.pad(proportions, (0, 3)))
-    skeleton = scaled(skeleton, proportions)
-    frames = forward(skeleton, pose)
-    flesh = cones(skeleton, frames, bones)
-    discs = discs_in_region(grids.region, project_cones(camera, flesh))
-    visible = _visible(skeleton.tree, camera, flesh, discs, grids.person)
-    by_pose = _leverage(skeleton, frames, camera, flesh, discs, grids.region, bones)
-    ends = by_shared.near, by_shared.far, by_shared.radii
-    leverage = jnp.concatenate([by_pose, jnp.concatenate(ends, 1)], 2)
-    fit = limbs_fit(skeleton.tree, discs, visible, grids, softness)
+    person = skeleton if proportions is None else scaled(skeleton, proportions)
+    frames = forward(person, pose)
+    flesh = cones(person, frames, bones)
+    discs = discs_in_region(grids.region, project_flesh(person.tree, camera, flesh))
+    visible = _visible(person.tree, camera, flesh, discs, grids.person)
+    leverage = _leverage(person, frames, camera, flesh, discs, grids.region, bones)
+    if proportions is not None:
+
+        def limbs(shared: Array) -> Discs:
+            own = scaled(skeleton, shared[:-3])
+            body = cones(own, forward(own, pose), bones)
+            outlines = project_flesh(own.tree, turned(camera, shared[-3:]), body)
+            return discs_in_region(grids.region, outlines)
+
+        by_shared = jax.jacfwd(limbs)(jnp.pad(proportions, (0, 3)))
+        ends = by_shared.near, by_shared.far, by_shared.radii
+        leverage = jnp.concatenate([leverage, jnp.concatenate(ends, 1)], 2)
+    fit = limbs_fit(person.tree, discs, visible, grids, softness)
     return (
         fit.cost,
         jnp.einsum("kia,kij,kjb->ab", leverage, fit.hessian, leverage, precision=HIGHEST),
@@ -256,6 +293,7 @@ def _leverage(
 ) -> Array:
     """Derivatives (K, 6, 6 + D) of the limbs' discs in cells."""
     ahead = depth_gradient(camera)
+    head, stands_in = _distance_of_head(skeleton.tree, bones)
 
     def of_end(points_world: Array, radii: Array) -> tuple[Array, Array]:
         J = jacobian(skeleton, frames, bones, points_world)
@@ -263,8 +301,9 @@ def _leverage(
         # Sums of three products: as one loop they are faster than small matrix products.
         centre = sum(cells[:, :, i, None] * J[:, i, None] for i in range(3))
         deeper = sum(ahead[i] * J[:, i, None] for i in range(3))
-        away = jnp.maximum(depth(camera, points_world), NEAREST_M)[:, None, None]
-        return jnp.asarray(centre), -radii[:, None, None] / away * deeper
+        nearer = -deeper / _away(camera, points_world)[:, None, None]
+        nearer = jnp.where(stands_in[:, None, None], nearer[head], nearer)
+        return jnp.asarray(centre), radii[:, None, None] * nearer
 
     near, near_radius = of_end(flesh.near, discs.radii[:, 0])
     far, far_radius = of_end(flesh.far, discs.radii[:, 1])

@@ -42,6 +42,7 @@ from jaxmocap.evidence.keypoints import SightLines, line_residuals
 from jaxmocap.evidence.silhouettes import (
     SilhouetteGrids,
     nearest_surface,
+    project_flesh,
     unhidden,
 )
 from jaxmocap.geometry.cameras import Camera, depth
@@ -254,7 +255,8 @@ def view_costs(
     kept = ~np.isin(bones, skeleton.tree.bones_in("arm"))
     body = Cones(*(part[kept] for part in cones(skeleton, frames, bones)))
     x, y = cells(grids.person.probability.shape[-1], pose.angles.dtype)
-    at = _touched(camera, grids.region, body, x, y)
+    outlines = project_flesh(skeleton.tree, camera, body, bones[kept])
+    at = _touched(grids.region, outlines, x, y)
     rest, surface = jnp.min(at.distance, 0), nearest_surface(camera, body, at.distance)
     moved, _ = _turned(arms_of(skeleton, frames, model.grips))
 
@@ -266,7 +268,7 @@ def view_costs(
 
         def of_candidate(index: Array) -> tuple[Array, Array]:
             limb = flesh(_side(_side(moved, side), index))
-            at = _touched(camera, grids.region, limb, x, y)
+            at = _touched(grids.region, project_cones(camera, limb), x, y)
             ends = (depth(camera, end)[:, None] for end in (limb.near, limb.far))
             _, radius, hand = depth_along(at, *ends)
             away = jnp.where(at.distance[1] < at.distance[2], radius, hand)
@@ -281,10 +283,10 @@ def view_costs(
     return _squares(coverage(away), grids.person) + _squares(shown, grids.forearms)
 
 
-def _touched(camera: Camera, region: Region, flesh: Cones, x: Array, y: Array) -> Touch:
-    """Where (K, C) the outlines of K limbs are nearest to C cells."""
-    discs = discs_in_region(region, project_cones(camera, flesh))
-    return touch(Discs(*(part[:, None] for part in discs)), x, y)
+def _touched(region: Region, discs: Discs, x: Array, y: Array) -> Touch:
+    """Where (K, C) the outlines of K limbs, pixels, are nearest to C cells."""
+    limbs = discs_in_region(region, discs)
+    return touch(Discs(*(part[:, None] for part in limbs)), x, y)
 
 
 def _squares(picture: Array, grid: Grid) -> Array:

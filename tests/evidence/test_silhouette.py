@@ -17,16 +17,18 @@ from watched_arms import FRONT, PERSON, TRUTH
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import retract
 from jaxmocap.body.proportions import PROPORTIONS, scaled
+from jaxmocap.body.surfaces.cones import cones, project_cones
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.appearance.hulls import BENEFIT, draw_hulls, part_odds
 from jaxmocap.evidence.silhouettes import (
     LegGrid,
     SilhouetteGrids,
     forearms,
+    project_flesh,
     project_limbs,
     silhouette_fit,
 )
-from jaxmocap.geometry.cameras import turned
+from jaxmocap.geometry.cameras import depth, focal_length, turned
 from jaxmocap.geometry.outlines import Discs, signed_distance
 from jaxmocap.images.colours import Colours, colour_bins, learn_colours
 from jaxmocap.images.regions import Region, in_other_region
@@ -321,6 +323,37 @@ def test_the_whole_persons_gradient_is_that_of_finite_differences():
     expected = (up - down) / 2e-6 / 2
     # A cell that changes its limb within the step errs a little.
     np.testing.assert_allclose(gradient, expected, atol=1e-3 * np.abs(expected).max())
+
+
+def test_of_a_body_as_stated_there_is_the_same_without_what_it_shares():
+    skeleton, _, *rest = body_arguments(random_grids(7, legs=True))
+    shared = FITTED(skeleton, jnp.zeros(len(PROPORTIONS)), *rest)
+    cost, hessian, gradient = (np.asarray(part) for part in FITTED(skeleton, None, *rest))
+    own = slice(len(AT_REST) - len(PROPORTIONS) - 3)
+    assert float(shared[0]) == pytest.approx(float(cost), rel=1e-6)
+    atol = 1e-5 * np.abs(hessian).max()
+    np.testing.assert_allclose(shared[1][own, own], hessian, atol=atol)
+    np.testing.assert_allclose(shared[2][own], gradient, atol=atol)
+
+
+def test_hips_that_come_nearer_than_the_head_look_no_thicker():
+    """Nor thinner: what one wears is thicker than drawn, by more than depth makes of it."""
+    bowed = TRUTH._replace(angles=np.array(TRUTH.angles))
+    for name in ("spine1_flexion", "spine2_flexion", "spine3_flexion"):
+        bowed.angles[PERSON.tree.joints.index(name)] -= 0.4
+    tree, flesh = PERSON.tree, cones(PERSON, forward(PERSON, on_device(bowed)), PERSON.tree.drawn)
+    actual, seen = (
+        project(FRONT, flesh) for project in (partial(project_flesh, tree), project_cones)
+    )
+    away = np.stack([depth(FRONT, end) for end in (flesh.near, flesh.far)], 1)
+    head = int(np.flatnonzero(tree.drawn == tree.bones_in("head")[0])[0])
+    as_seen = np.isin(tree.drawn, tree.bones_in("arm", "head"))
+    sizes = np.asarray(actual.radii) * away[head] / np.asarray(flesh.radii)
+    np.testing.assert_allclose(sizes[~as_seen], float(focal_length(FRONT)), rtol=1e-4)
+    assert np.ptp((np.asarray(seen.radii) * away[head] / flesh.radii)[~as_seen]) > 30
+    np.testing.assert_allclose(actual.radii[as_seen], seen.radii[as_seen], rtol=1e-6)
+    for end in ("near", "far"):
+        np.testing.assert_allclose(getattr(actual, end), getattr(seen, end))
 
 
 def test_a_mild_distortion_hardly_turns_the_gradient():

@@ -303,10 +303,10 @@ def test_markers_of_a_straight_motion_are_where_they_go(time, missing):
     at = np.arange(4) * 0.03
     samples = [Sample(i, t, np.array([[t, 2 * t, 1.0], [0, 0, t]])) for i, t in enumerate(at)]
     assert np.allclose(
-        markers_at(samples, [time])[0], [[time, 2 * time, 1.0], [0, 0, time]], atol=1e-6
+        markers_at(samples, np.array([time]))[0], [[time, 2 * time, 1.0], [0, 0, time]], atol=1e-6
     )
     samples[missing].markers_world[0] = np.nan
-    found = markers_at(samples, [time])[0]
+    found = markers_at(samples, np.array([time]))[0]
     assert np.allclose(found[1], [0, 0, time], atol=1e-6)
     # By its other samples, unless the last two of them are too long ago.
     newest, before = np.delete(at, missing)[[-1, -2]]
@@ -319,16 +319,30 @@ def test_devices_that_send_in_turn_have_their_own_samples():
     rows = [[[t, 0, 0], nothing] if i % 2 else [nothing, [0, t, 0]] for i, t in enumerate(TIMES)]
     samples = [Sample(i, TIMES[i], np.array(row)) for i, row in enumerate(rows)]
     time = (TIMES[-3] + TIMES[-2]) / 2
-    assert np.allclose(markers_at(samples, [time])[0], [[time, 0, 0], [0, time, 0]], atol=1e-6)
+    assert np.allclose(
+        markers_at(samples, np.array([time]))[0], [[time, 0, 0], [0, time, 0]], atol=1e-6
+    )
+
+
+def test_markers_at_many_times_are_those_at_each():
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(12, 2, 3))
+    points[rng.uniform(size=(12, 2)) < 0.2] = np.nan
+    at = np.cumsum(rng.choice([0.01, 0.03, 0.15], 12))
+    samples = [Sample(i, time, each) for i, (time, each) in enumerate(zip(at, points, strict=True))]
+    times = np.linspace(at[0], at[-1] + 0.1, 40)
+    each = np.concatenate([markers_at(samples, times[i : i + 1]) for i in range(len(times))])
+    np.testing.assert_array_equal(markers_at(samples, times), each)
+    assert np.isfinite(each).all(-1).any() and np.isnan(each).any()
 
 
 def test_markers_beyond_a_gap_are_unknown():
     far = [Sample(i, t, np.zeros((1, 3))) for i, t in enumerate((0.0, 2 * LONGEST_INTERVAL_S))]
-    assert np.isnan(markers_at(far, [LONGEST_INTERVAL_S])[0]).all()
+    assert np.isnan(markers_at(far, np.array([LONGEST_INTERVAL_S]))[0]).all()
     near = [Sample(i, t, np.zeros((1, 3))) for i, t in enumerate((0.0, 0.01))]
     assert (
-        np.isnan(markers_at(near, [0.03])[0]).all()
-        and np.isfinite(markers_at(near, [0.015])[0]).all()
+        np.isnan(markers_at(near, np.array([0.03]))[0]).all()
+        and np.isfinite(markers_at(near, np.array([0.015]))[0]).all()
     )
 
 

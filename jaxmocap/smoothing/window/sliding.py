@@ -80,12 +80,11 @@ def _silhouettes_fit(
     grids: SilhouetteGrids,
 ) -> tuple[Array, Array, Array]:
     """What one camera's silhouettes cost at a packed pose, J^T J (N, N) and J^T r (N,)."""
-    pose = unpack(packed)
-    stated = jnp.zeros(0, pose.angles.dtype)
-    softness = jnp.asarray(SOFTNESS, pose.angles.dtype)
-    cost, hessian, gradient = silhouette_fit(skeleton, stated, pose, camera, grids, softness)
-    n, weight = 6 + pose.angles.size, 1 / settings.deviation**2
-    return weight * cost, weight * hessian[:n, :n], weight * gradient[:n]
+    softness = jnp.asarray(SOFTNESS, packed.dtype)
+    fit = silhouette_fit(skeleton, None, unpack(packed), camera, grids, softness)
+    weight = 1 / settings.deviation**2
+    cost, hessian, gradient = (weight * part for part in fit)
+    return cost, hessian, gradient
 
 
 def stacked(poses: Iterable[Pose]) -> np.ndarray:

@@ -49,43 +49,42 @@ class Sample(NamedTuple):
     markers_world: np.ndarray
 
 
-def markers_at(samples: Sequence[Sample], times: Sequence[float]) -> list[np.ndarray]:
-    """Markers (M, 3), metres, at each of some times, on a cubic between each one's own samples.
+def markers_at(samples: Sequence[Sample], times: np.ndarray) -> np.ndarray:
+    """Markers (E, M, 3), metres, at each of some times, on a cubic between each one's own samples.
 
     Beyond its last one straight on. NaN where its samples about the time are farther apart than
     ``LONGEST_INTERVAL_S``, or the last one is more than an interval ago.
 
     Args:
         samples: the newest, in order of time, at least one.
-        times: seconds.
+        times: (E,) seconds.
     """
     own_times = np.array([each.time for each in samples])
     points = np.stack([each.markers_world for each in samples])
     present = np.asarray(np.isfinite(points).all(-1))
     if present.all():
-        return [_on_cubic(own_times, points, time) for time in times]
+        return _on_cubic(own_times, points, times)
     # A device that is missing, or has packets of its own.
     own = [present[:, marker] for marker in range(points.shape[1])]
-    return [
-        np.stack([_on_cubic(own_times[o], points[o, m], time) for m, o in enumerate(own)])
-        for time in times
-    ]
+    each = [_on_cubic(own_times[o], points[o, m], times) for m, o in enumerate(own)]
+    return np.stack(each, 1)
 
 
-def _on_cubic(times: np.ndarray, points: np.ndarray, time: float) -> np.ndarray:
-    """``markers_at`` of points (S, ...) that are all present at their times (S,)."""
-    if len(times) < 2:
-        return np.full(points.shape[1:], np.nan)
-    start = int(np.clip(np.searchsorted(times, time, side="right"), 1, len(times) - 1)) - 1
-    rows = np.clip(np.arange(start - 1, start + 3), 0, len(times) - 1)
-    (first, way, last), spans = np.diff(points[rows], axis=0), np.diff(times[rows])
-    share = (time - times[start]) / spans[1]
-    if spans[1] > LONGEST_INTERVAL_S or share > 2:
-        return np.full(points.shape[1:], np.nan)
-    if share > 1:
-        return points[start] + share * way
-    beside = np.where((spans > 0) & (spans <= LONGEST_INTERVAL_S), spans, ENDLESS_S)
-    return points[start] + cubic_step(first, way, last, beside, share)
+def _on_cubic(own_times: np.ndarray, points: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """``markers_at``, (E, ...), of points (S, ...) that are all present at their times (S,)."""
+    if len(own_times) < 2:
+        return np.full((len(times), *points.shape[1:]), np.nan)
+    last = len(own_times) - 1
+    start = np.clip(np.searchsorted(own_times, times, side="right"), 1, last) - 1
+    rows = np.clip(start[:, None] + np.arange(-1, 3), 0, last)
+    spans, ways = np.diff(own_times[rows]).T, np.diff(points[rows], axis=1).swapaxes(0, 1)
+    share = (times - own_times[start]) / spans[1]
+    known = (spans[1] <= LONGEST_INTERVAL_S) & (share <= 2)
+    spans = np.where((spans > 0) & (spans <= LONGEST_INTERVAL_S), spans, ENDLESS_S)
+    column = len(times), *[1] * (points.ndim - 1)
+    t, s, is_known = spans.reshape(3, *column), share.reshape(column), known.reshape(column)
+    on = np.where(s > 1, s * ways[1], cubic_step(*ways, t, s))
+    return np.where(is_known, points[start] + on, np.nan)
 
 
 def update_frames_markers(events: Sequence[WindowEvent], samples: Sequence[Sample]) -> None:
@@ -99,8 +98,11 @@ def update_frames_markers(events: Sequence[WindowEvent], samples: Sequence[Sampl
         return
     numbers, first = {sample.number for sample in samples}, samples[0].time
     between = [each for each in events if each.time >= first and each.number not in numbers]
-    for event, there in zip(between, markers_at(samples, [e.time for e in between]), strict=True):
-        of_type = there.astype(event.measured["markers"].dtype)
+    if not between:
+        return
+    there = markers_at(samples, np.array([event.time for event in between]))
+    for event, markers in zip(between, there, strict=True):
+        of_type = markers.astype(event.measured["markers"].dtype)
         event.measured = {**event.measured, "markers": of_type}
 
 

@@ -19,7 +19,7 @@ from jaxmocap.body.kinematics import forward, landmarks
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
+from jaxmocap.body.surfaces.cones import Cones, cones
 from jaxmocap.evidence.appearance.learned import (
     CELLS,
     LEG_CELLS,
@@ -28,7 +28,13 @@ from jaxmocap.evidence.appearance.learned import (
     ROWS,
     landmark_halves,
 )
-from jaxmocap.evidence.silhouettes import HIDDEN_BEYOND_M, HIDDEN_SOFTLY_M, Silhouettes, forearms
+from jaxmocap.evidence.silhouettes import (
+    HIDDEN_BEYOND_M,
+    HIDDEN_SOFTLY_M,
+    Silhouettes,
+    forearms,
+    project_flesh,
+)
 from jaxmocap.evidence.smoothness import second_differences
 from jaxmocap.evidence.terms import Measurements, linearised
 from jaxmocap.geometry.cameras import Camera, depth, project
@@ -155,11 +161,12 @@ def _view_rows(
 
     def outlines(step: Array) -> Array:
         flesh = cones(skeleton, forward(skeleton, retract(pose, step)), drawn)
-        return jnp.concatenate(project_cones(camera, flesh), -1)
+        return jnp.concatenate(project_flesh(skeleton.tree, camera, flesh), -1)
 
     leverage = jax.jacfwd(outlines)(still)
     flesh = cones(skeleton, forward(skeleton, pose), drawn)
-    discs, pixels = project_cones(camera, flesh), project(camera, landmarks(skeleton, pose))
+    discs = project_flesh(skeleton.tree, camera, flesh)
+    pixels = project(camera, landmarks(skeleton, pose))
     # Images are shrunk before they are measured: a distant person has coarser cells.
     finest = camera.size[1] / ROWS
 
