@@ -104,24 +104,24 @@ class Pelvis(Term):
         """(3,) of the trunk: back of the vertical, ahead of where it bows to, and aside."""
         points = body.landmarks[TRUNK_AND_LEGS]
         hips, knees, ankles = points[2:].reshape(3, 2, 3)
-        stretched = _length(hips - knees) + _length(knees - ankles)
-        bent = jnp.mean(1 - _length(hips - ankles) / stretched)
+        stretched = length(hips - knees) + length(knees - ankles)
+        bent = jnp.mean(1 - length(hips - ankles) / stretched)
         trunk = points[1] - points[0]
         ahead = body.R_world_pelvis[:2, 0]
-        ahead, trunk = ahead / _length(ahead), trunk[:2] / _length(trunk)
+        ahead, trunk = ahead / length(ahead), trunk[:2] / length(trunk)
         lean, aside = jnp.dot(trunk, ahead), ahead[0] * trunk[1] - ahead[1] * trunk[0]
-        others = jnp.stack([_excess(lean - BOW * bent), aside])
-        back = -_excess(-lean)[None] / self.lean
+        others = jnp.stack([excess(lean - BOW * bent), aside])
+        back = -excess(-lean)[None] / self.lean
         return jnp.concatenate([back, shortened((others / self.lean)[:, None])[:, 0]])
 
 
-def _excess(values: Array) -> Array:
+def excess(values: Array) -> Array:
     """What is above 0, softly."""
     return (values + jnp.sqrt(values**2 + SOFT**2)) / 2
 
 
-def _length(vectors: Array) -> Array:
-    """(...) of vectors (..., N)."""
+def length(vectors: Array) -> Array:
+    """(...) of vectors (..., N), with a derivative where there is none of them."""
     return jnp.sqrt(jnp.sum(vectors**2, -1) + NOWHERE_M**2)
 
 

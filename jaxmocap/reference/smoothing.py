@@ -25,7 +25,7 @@ from jaxmocap.reference.kinematics import (
 # Groups of bones with a length in common, and deviations of its logarithm.
 PROPORTIONS = (("spine", 0.08), ("shoulder", 0.08))
 # Errors of these last: they count once for as long as ``persistence``, in the deviations.
-LASTING = ("pelvis", "posture", "ground", "balance")
+LASTING = ("pelvis", "posture", "ground", "ankles", "balance")
 TAILS = 5.0
 STEP = 1e-6
 
@@ -87,6 +87,7 @@ def frame_values(problem: Problem, x: np.ndarray, t: int) -> np.ndarray:
         "posture": (pose.angles - skeleton.relaxed, usual),
         "limits": (pose.angles - np.clip(pose.angles, low, high), settings.limits.deviation),
         "ground": (ankles - measured["ankles"], [place, place, height]),
+        "ankles": (beyond_ankles(R, at, measured["ankles"]), settings.ankles.beyond),
         "balance": (centre_of_gravity(skeleton, frames)[:2] - base[:2], settings.balance.deviation),
         "elbows": (elbows - measured["elbows"], settings.elbows.deviation),
         "keypoints": (off_lines(problem, points, t), 1.0),
@@ -116,6 +117,20 @@ def off_upright(lean: float, R: np.ndarray, at: dict[str, np.ndarray]) -> np.nda
     others = np.array([too_far, aside]) / lean
     others = np.sign(others) * np.sqrt(TAILS * np.log1p(others**2 / TAILS))
     return np.array([-back / lean, *others])
+
+
+def beyond_ankles(R: np.ndarray, at: dict[str, np.ndarray], standing: np.ndarray) -> np.ndarray:
+    """(2, 2) sines of shanks beyond 40 degrees ahead and 25 back of a pelvis R (3, 3).
+
+    Less where an ankle is off its height (2, 3) on the ground.
+    """
+    ahead, result = R[:2, 0] / np.linalg.norm(R[:2, 0]), []
+    for side, foot in zip("lr", standing, strict=True):
+        shank = at[f"knee_{side}"] - at[f"ankle_{side}"]
+        lean = shank[:2] @ ahead / np.linalg.norm(shank)
+        flat = 1 / (1 + ((at[f"ankle_{side}"] - foot)[2] / 0.04) ** 2)
+        result.append([flat * (x + np.hypot(x, 0.02)) / 2 for x in (lean - 0.64, -0.42 - lean)])
+    return np.array(result)
 
 
 def off_lines(problem: Problem, points: np.ndarray, t: int) -> np.ndarray:

@@ -18,8 +18,10 @@ import jax
 import numpy as np
 
 from jaxmocap.body.model import Model
+from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import PROPORTIONS
+from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.evidence.appearance.learned import (
     ROWS,
     Drawing,
@@ -174,8 +176,11 @@ def solve_recording(
         guided = problem.with_measured(elbows=goals)
         return smooth_poses(guided, trajectory, DECIDING, PREPARED).trajectory
 
+    poses = first_pass.poses
+    if model.no_foot_is_marked:
+        poses = _standing(model, settings, first_pass.times, measured, poses)
     no_change = np.zeros(len(PROPORTIONS), model.dtype)
-    trajectory = Trajectory(first_pass.poses, no_change, _as_calibrated(model, settings))
+    trajectory = Trajectory(poses, no_change, _as_calibrated(model, settings))
     problem = measured_about(trajectory)
     trajectory = smooth_poses(problem, trajectory, ROUGHLY, PREPARED, coarse=True).trajectory
     show(0.3)
@@ -186,6 +191,24 @@ def solve_recording(
     problem = measured_about(trajectory)
     show(0.7)
     return SolvedProblem(problem, smooth_poses(problem, trajectory, FINELY).trajectory)
+
+
+def _standing(
+    model: Model,
+    settings: SmoothingSettings,
+    times: np.ndarray,
+    measured: dict[str, Any],
+    poses: Pose,
+) -> Pose:
+    """Poses (E, ...) with trunk and legs as is usual of them, elbows where they are.
+
+    Without the images: from legs that are folded as nobody's are, silhouettes end far off.
+    """
+    elbows = landmarks_over_time(model.skeleton, poses, ELBOWS).astype(model.dtype)
+    measured = {**measured, "elbows": elbows}
+    problem = SmoothingProblem(model, settings, times, measured, Views.no_cameras())
+    start = Trajectory(poses, np.zeros(len(PROPORTIONS), model.dtype), UNTURNED)
+    return smooth_poses(problem, start, FINELY, PREPARED).trajectory.poses
 
 
 def _as_calibrated(model: Model, settings: SmoothingSettings) -> np.ndarray:

@@ -12,7 +12,7 @@ from jax import Array
 from jaxmocap.compilation.arrays import Numbers, namespace
 from jaxmocap.compilation.settings import group, settings, static, traced
 from jaxmocap.evidence.balance import Balance
-from jaxmocap.evidence.ground import Ground
+from jaxmocap.evidence.ground import AnkleRange, Ground
 from jaxmocap.evidence.keypoints import KeyPoints
 from jaxmocap.evidence.limits import JointLimits
 from jaxmocap.evidence.markers import ElbowGoals, MarkerPositions
@@ -57,6 +57,7 @@ class SmoothingSettings:
         lambda: Ground(height=0.025, place=0.5),  # type: ignore[arg-type]
         "of feet that no marker holds",
     )
+    ankles: AnkleRange = group(AnkleRange, "of shanks over feet that no marker holds")
     balance: Balance = group(
         lambda: Balance(deviation=0.03),  # type: ignore[arg-type]
         "of standing in balance",

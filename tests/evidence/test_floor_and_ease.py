@@ -9,7 +9,7 @@ import pytest
 from painted_motion import MODEL, PERSON, pose_at
 
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.evidence.ground import FeetOnFloor
+from jaxmocap.evidence.ground import ANKLES, KNEES, AnkleRange, FeetOnFloor
 from jaxmocap.evidence.posture import MostlyRelaxedPosture, Pelvis
 from jaxmocap.evidence.terms import posed_body
 
@@ -28,6 +28,29 @@ def test_feet_stand_on_the_floor_and_nothing_lies_below_it():
     assert cost(0.0) == pytest.approx(0.0, abs=1e-4)
     assert cost(0.01) == pytest.approx((0.01 / float(term.height)) ** 2, rel=0.1)
     assert cost(0.6) < 30 and cost(-0.17) > (0.1 / float(term.height)) ** 2
+
+
+def shanks(lean: float, lifted: float = 0.0, heading: float = 0.0) -> float:
+    """What shanks cost that lean so many degrees along x, of a body that faces that way from x."""
+    points, standing = np.zeros((len(LANDMARKS), 3)), np.array([[0, 0.1, 0.07], [0, -0.1, 0.07]])
+    points[ANKLES] = standing + np.array([0, 0, lifted])
+    points[KNEES] = points[ANKLES] + 0.4 * np.array(
+        [np.sin(np.radians(lean)), 0, np.cos(np.radians(lean))]
+    )
+    c, s = np.cos(np.radians(heading)), np.sin(np.radians(heading))
+    R = jnp.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    body = SimpleNamespace(landmarks=jnp.asarray(points), R_world_pelvis=R)
+    residual = AnkleRange().residual(MODEL, body, {"ankles": standing})  # type: ignore[arg-type]
+    return float(jnp.sum(residual**2))
+
+
+def test_shanks_lean_as_far_as_ankles_let_them():
+    """Over a flat foot: one that is lifted lets its shank lie."""
+    assert max(shanks(lean) for lean in (-15, 0, 15, 30)) < 0.2
+    assert shanks(55) > 5 and shanks(80) > 2 * shanks(55) and shanks(-50) > 5
+    assert shanks(80, lifted=0.12) < 0.02 * shanks(80)
+    # Ahead is where the body faces.
+    assert shanks(80, heading=90) < 0.2 and shanks(-35, heading=180) < 0.2 < shanks(-35)
 
 
 def test_most_joints_are_near_ease_and_a_few_may_be_far():
