@@ -7,13 +7,16 @@ residuals.
 from typing import ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from jaxmocap.body.model import Model
+from jaxmocap.body.model import SIDES, Model
 from jaxmocap.body.skeleton import landmark_rows
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import settings, traced
-from jaxmocap.evidence.posture import excess, length
+from jaxmocap.evidence.posture import SOFT, excess, length
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
+from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.solvers.robust import shortened
 
 ANKLES = landmark_rows(("ankle_l", "ankle_r"))
@@ -65,6 +68,49 @@ class AnkleRange(Term):
         beyond = excess(jnp.stack([lean - FARTHEST_AHEAD, FARTHEST_BACK - lean], -1))
         lifted = (ankles[:, 2:] - measured["ankles"][:, 2:]) / LIFTED_M
         return beyond / (self.beyond * (1 + lifted**2))
+
+
+@settings
+class KneesOverFeet(Term):
+    """The same ahead of feet that stand below an upright pelvis, by hips and knees alone.
+
+    Silent for a body without joints ``hip_flexion`` and ``knee_flexion``.
+    """
+
+    beyond: Array = traced(
+        0.2, "of how far a shank leans beyond what the ankle of a flat foot allows, radians"
+    )
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(2,); none where a marker holds a foot."""
+        return excess(self._lean(model, body)[0]) / self.beyond
+
+    def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(2, 6 + D)."""
+        lean, by_pose = self._lean(model, body)
+        slope = (1 + lean / jnp.sqrt(lean**2 + SOFT**2)) / 2
+        return slope[:, None] / self.beyond * by_pose
+
+    def curvature(
+        self, model: Model, body: PosedBody, measured: Measurements, weights: Array
+    ) -> Array:
+        """(6 + D, 6 + D)."""
+        lean, by_pose = self._lean(model, body)
+        bend = SOFT**2 / (lean**2 + SOFT**2) ** 1.5 / 2
+        return by_pose.T @ ((weights * bend / self.beyond)[:, None] * by_pose)
+
+    def _lean(self, model: Model, body: PosedBody) -> tuple[Array, Array]:
+        """(2,) radians beyond the farthest lean, and their derivative (2, 6 + D)."""
+        joints, dtype = model.skeleton.tree.joints, body.pose.angles.dtype
+        sides = SIDES if model.no_foot_is_marked else ()
+        pairs = [(f"knee_flexion_{side}", f"hip_flexion_{side}") for side in sides]
+        pairs = [pair for pair in pairs if set(pair) <= set(joints)]
+        by_pose = np.zeros((len(pairs), ROOT_DOF + len(joints)))
+        for row, (knee, hip) in zip(by_pose, pairs, strict=True):
+            row[ROOT_DOF + joints.index(knee)], row[ROOT_DOF + joints.index(hip)] = 1, -1
+        rows = jnp.asarray(by_pose, dtype)
+        lean = jnp.matmul(rows[:, ROOT_DOF:], body.pose.angles, precision=HIGHEST)
+        return lean - np.arcsin(FARTHEST_AHEAD), rows
 
 
 @settings

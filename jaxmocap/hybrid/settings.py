@@ -11,6 +11,7 @@ from jax import Array
 
 from jaxmocap.compilation.settings import counted, group, settings, static, traced
 from jaxmocap.evidence.edges import EdgeEvidence
+from jaxmocap.evidence.ground import KneesOverFeet
 from jaxmocap.evidence.limits import JointLimits
 from jaxmocap.evidence.markers import ElbowGoals, PointGoals, SearchedElbows
 from jaxmocap.evidence.posture import NearPose
@@ -29,6 +30,7 @@ class IKSettings:
 
     goals: PointGoals = group(PointGoals, "of markers and unmarked feet")
     elbows: ElbowGoals = group(lambda: ElbowGoals(deviation=0.03), "of the searched elbows")  # type: ignore[arg-type]
+    knees: KneesOverFeet = group(KneesOverFeet, "of shanks over feet that no marker holds")
 
     solver: Literal["newton", "sdls"] = static(
         "newton",
