@@ -4,6 +4,7 @@ INPUTS: a posed body; ankles of the markers' pose, or the floor at z = 0. OUTPUT
 residuals.
 """
 
+from math import asin
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -72,9 +73,10 @@ class AnkleRange(Term):
 
 @settings
 class KneesOverFeet(Term):
-    """The same ahead of feet that stand below an upright pelvis, by hips and knees alone.
+    """The same of feet that stand, ahead alone, by the angles of hips and knees.
 
-    Silent for a body without joints ``hip_flexion`` and ``knee_flexion``.
+    How the pelvis leans is left out, which then leans a little instead. Silent for a body without
+    joints ``hip_flexion`` and ``knee_flexion``.
     """
 
     beyond: Array = traced(
@@ -110,7 +112,7 @@ class KneesOverFeet(Term):
             row[ROOT_DOF + joints.index(knee)], row[ROOT_DOF + joints.index(hip)] = 1, -1
         rows = jnp.asarray(by_pose, dtype)
         lean = jnp.matmul(rows[:, ROOT_DOF:], body.pose.angles, precision=HIGHEST)
-        return lean - np.arcsin(FARTHEST_AHEAD), rows
+        return lean - asin(FARTHEST_AHEAD), rows
 
 
 @settings

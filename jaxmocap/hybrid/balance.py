@@ -124,7 +124,8 @@ def bow_factors(skeleton: Skeleton, settings: IKSettings, trials: int = 9) -> Ar
     """
     dofs = spine_dofs(skeleton)
     most = skeleton.limits[dofs, 1] - skeleton.relaxed[dofs]
-    model, standing = Model.create(skeleton), relaxed_pose(skeleton)
+    model = Model.create(skeleton, squat_goals(skeleton, 0.0).sites)
+    standing = relaxed_pose(skeleton)
     trunk_stays = all_but_trunk(skeleton)
 
     def ahead(share: Array) -> Array:

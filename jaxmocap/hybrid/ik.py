@@ -119,7 +119,7 @@ def reach(
     frames = frames or forward(skeleton, pose)
     effort = effort_shares(skeleton, frames, settings.augmented_body)
     ease = EasyPosture(settings.relaxation, settings.uprightness, settings.memory)
-    terms = (*settings.terms, in_precision(model, ease))
+    terms = (*settings.terms, settings.knees, in_precision(model, ease))
     if "elbows" in measured:
         terms = (*terms, *settings.secondary_terms)
     about = {**measured, "last": LastPose(pose, effort, remembered)}

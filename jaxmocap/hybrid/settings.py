@@ -23,14 +23,16 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 
 @settings
 class IKSettings:
-    """What a user may tune of inverse kinematics; each ``Term`` among it is reached for.
+    """What a user may tune of inverse kinematics; each other ``Term`` among it is reached for.
 
     Elbows come second: as far as the others hold, and against a weighted radian of deviation 1.
     """
 
     goals: PointGoals = group(PointGoals, "of markers and unmarked feet")
     elbows: ElbowGoals = group(lambda: ElbowGoals(deviation=0.03), "of the searched elbows")  # type: ignore[arg-type]
-    knees: KneesOverFeet = group(KneesOverFeet, "of shanks over feet that no marker holds")
+    knees: KneesOverFeet = group(
+        KneesOverFeet, "of shanks over feet that no marker holds; not for algorithm 1"
+    )
 
     solver: Literal["newton", "sdls"] = static(
         "newton",
@@ -89,7 +91,8 @@ class IKSettings:
     @property
     def terms(self) -> tuple[Term, ...]:
         """What is reached for, in the order of the fields."""
-        each = (getattr(self, field.name) for field in fields(self) if field.name != "elbows")
+        others = ("elbows", "knees")
+        each = (getattr(self, field.name) for field in fields(self) if field.name not in others)
         return tuple(term for term in each if isinstance(term, Term))
 
     @property

@@ -37,7 +37,7 @@ def squat(skeleton, start, depth, factors):
     foot = skeleton.diameters[skeleton.tree.bone("foot_l"), 0]
     lift = foot - goals.targets[3, 2]
     goals = goals._replace(targets=goals.targets.at[:, 2].add(lift))
-    model, measured = Model.create(skeleton), {"goals": goals}
+    model, measured = Model.create(skeleton, goals.sites), {"goals": goals}
     pose = ik.reach(model, settings, measured, start)
     bowed, free, bows = balance.bow_on_feet(skeleton, settings, pose, factors)
     balanced = ik.reach(model, settings, measured, bowed, free)
@@ -108,8 +108,9 @@ def bowed(skeleton, pose, factors):
 @jax.jit
 def sunk_pose(skeleton, depth):
     """The relaxed body with bent knees, its head ``depth`` metres lower, feet on the ground."""
-    measured = {"goals": balance.squat_goals(skeleton, depth)}
-    pose = ik.reach(Model.create(skeleton), IKSettings(), measured, relaxed_pose(skeleton))
+    goals = balance.squat_goals(skeleton, depth)
+    model, start = Model.create(skeleton, goals.sites), relaxed_pose(skeleton)
+    pose = ik.reach(model, IKSettings(), {"goals": goals}, start)
     ankle = landmarks(skeleton, pose)[LANDMARKS.index("ankle_l"), 2]
     lift = skeleton.diameters[skeleton.tree.bone("foot_l"), 0] - ankle
     return pose._replace(position=pose.position.at[2].add(lift))

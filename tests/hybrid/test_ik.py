@@ -12,14 +12,15 @@ from hypothesis import strategies as st
 
 from jaxmocap.body.kinematics import Sites, forward, jacobian, landmark_sites, landmarks
 from jaxmocap.body.kinematics import site_positions as positions
-from jaxmocap.body.model import Model
+from jaxmocap.body.model import Model, on_unmarked_feet
 from jaxmocap.body.pose import Pose, relaxed_pose
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.evidence.markers import Goals
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.hybrid import feet, ik
 from jaxmocap.hybrid.paper import ik as paper
 from jaxmocap.hybrid.settings import IKSettings
+from jaxmocap.hybrid.step import nowhere
 from jaxmocap.reference import kinematics as reference_kinematics
 from jaxmocap.reference.hybrid import ik as reference
 
@@ -508,3 +509,17 @@ def test_what_may_not_move_does_not(skeleton):
     assert np.abs(change[free[6:]]).max() > 1e-3
     fixed = np.flatnonzero(~free[:3])
     np.testing.assert_array_equal(moved.position[fixed], pose.position[fixed])
+
+
+def test_who_squats_by_head_and_hands_has_the_hips_less_far_ahead():
+    """They hung 45 cm ahead of the feet, and shanks lay on the ground."""
+    model, solve = on_unmarked_feet(Model.create(Skeleton.human(1.75))), jax.jit(ik.solve_ik)
+    # Vertex, left and right wrist of somebody who stands and faces along x.
+    points = np.array([[0.0, 0.0, 1.75], [0.1, 0.28, 0.85], [0.1, -0.28, 0.85]])
+    pose, placement = nowhere(model)
+    for depth in np.linspace(0, 0.42, 15):
+        targets = on_device(points + np.array([0.55 * depth, 0.0, -depth]))
+        pose, placement, *_ = solve(model, IKSettings(), pose, placement, targets)
+    at = dict(zip(LANDMARKS, np.asarray(LANDMARKS_OF(model.skeleton, pose)), strict=True))
+    assert at["hip_l"][0] - at["ankle_l"][0] < 0.3
+    assert np.linalg.norm(at["vertex"] - np.asarray(targets)[0]) < 0.03
