@@ -83,7 +83,8 @@ def _on_cubic(own_times: np.ndarray, points: np.ndarray, times: np.ndarray) -> n
     spans = np.where((spans > 0) & (spans <= LONGEST_INTERVAL_S), spans, ENDLESS_S)
     column = len(times), *[1] * (points.ndim - 1)
     t, s, is_known = spans.reshape(3, *column), share.reshape(column), known.reshape(column)
-    on = np.where(s > 1, s * ways[1], cubic_step(*ways, t, s))
+    first, way, last_way = ways
+    on = np.where(s > 1, s * way, cubic_step(first, way, last_way, t, s))
     return np.where(is_known, points[start] + on, np.nan)
 
 
