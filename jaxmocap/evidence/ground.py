@@ -73,9 +73,9 @@ class AnkleRange(Term):
 
 @settings
 class KneesOverFeet(Term):
-    """The same of feet that stand, ahead alone, by the angles of hips and knees.
+    """``AnkleRange`` ahead of feet that stand, by the angles of hips and knees, with formulas.
 
-    How the pelvis leans is left out, which then leans a little instead. Silent for a body without
+    How the pelvis leans is left out, so that it leans a little instead. Silent for a body without
     joints ``hip_flexion`` and ``knee_flexion``.
     """
 

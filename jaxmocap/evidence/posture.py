@@ -121,7 +121,7 @@ def excess(values: Array) -> Array:
 
 
 def length(vectors: Array) -> Array:
-    """(...) of vectors (..., N), with a derivative where there is none of them."""
+    """(...) of vectors (..., N); it has a derivative at 0 as well."""
     return jnp.sqrt(jnp.sum(vectors**2, -1) + NOWHERE_M**2)
 
 

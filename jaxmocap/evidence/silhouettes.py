@@ -148,7 +148,7 @@ def project_flesh(
 ) -> Discs:
     """Limbs in the image, pixels, trunk and legs as thick as if they were as far as the head.
 
-    What wears clothes is thicker than drawn. By its thickness it would be nearer.
+    Clothes are thicker than what is drawn, and would bring a limb nearer to the camera.
 
     Args:
         tree: of the person.

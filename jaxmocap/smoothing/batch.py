@@ -178,7 +178,7 @@ def solve_recording(
 
     poses = first_pass.poses
     if model.no_foot_is_marked:
-        poses = _standing(model, settings, first_pass.times, measured, poses)
+        poses = _with_usual_legs(model, settings, first_pass.times, measured, poses)
     no_change = np.zeros(len(PROPORTIONS), model.dtype)
     trajectory = Trajectory(poses, no_change, _as_calibrated(model, settings))
     problem = measured_about(trajectory)
@@ -193,7 +193,7 @@ def solve_recording(
     return SolvedProblem(problem, smooth_poses(problem, trajectory, FINELY).trajectory)
 
 
-def _standing(
+def _with_usual_legs(
     model: Model,
     settings: SmoothingSettings,
     times: np.ndarray,
