@@ -46,7 +46,7 @@ from jaxmocap.images.silhouette_grid import (
 # Parts of the arms that have silhouettes of their own.
 FOREARMS = ("forearm", "hand")
 # Limbs whose thickness tells their distance; flesh and clothes of all others vary by more.
-THICK_AS_SEEN = ("arm", "head")
+THICK_BY_DISTANCE = ("arm", "head")
 # A limb is hidden by what lies in front of its axis by more than this, metres:
 HIDDEN_BEYOND_M = 0.06
 # and over so many metres more and more of it.
@@ -168,7 +168,7 @@ def _distance_of_head(tree: Tree, bones: np.ndarray) -> tuple[int, np.ndarray]:
     heads = np.flatnonzero(np.isin(bones, tree.bones_in("head")))
     if not len(heads):
         return 0, np.zeros(len(bones), bool)
-    return int(heads[0]), ~np.isin(bones, tree.bones_in(*THICK_AS_SEEN))
+    return int(heads[0]), ~np.isin(bones, tree.bones_in(*THICK_BY_DISTANCE))
 
 
 def _away(camera: Camera, points_world: Array) -> Array:

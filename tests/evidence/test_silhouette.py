@@ -342,18 +342,18 @@ def test_hips_that_come_nearer_than_the_head_look_no_thicker():
     for name in ("spine1_flexion", "spine2_flexion", "spine3_flexion"):
         bowed.angles[PERSON.tree.joints.index(name)] -= 0.4
     tree, flesh = PERSON.tree, cones(PERSON, forward(PERSON, on_device(bowed)), PERSON.tree.drawn)
-    actual, seen = (
+    actual, plain = (
         project(FRONT, flesh) for project in (partial(project_flesh, tree), project_cones)
     )
     away = np.stack([depth(FRONT, end) for end in (flesh.near, flesh.far)], 1)
     head = int(np.flatnonzero(tree.drawn == tree.bones_in("head")[0])[0])
-    as_seen = np.isin(tree.drawn, tree.bones_in("arm", "head"))
+    by_distance = np.isin(tree.drawn, tree.bones_in("arm", "head"))
     sizes = np.asarray(actual.radii) * away[head] / np.asarray(flesh.radii)
-    np.testing.assert_allclose(sizes[~as_seen], float(focal_length(FRONT)), rtol=1e-4)
-    assert np.ptp((np.asarray(seen.radii) * away[head] / flesh.radii)[~as_seen]) > 30
-    np.testing.assert_allclose(actual.radii[as_seen], seen.radii[as_seen], rtol=1e-6)
+    np.testing.assert_allclose(sizes[~by_distance], float(focal_length(FRONT)), rtol=1e-4)
+    assert np.ptp((np.asarray(plain.radii) * away[head] / flesh.radii)[~by_distance]) > 30
+    np.testing.assert_allclose(actual.radii[by_distance], plain.radii[by_distance], rtol=1e-6)
     for end in ("near", "far"):
-        np.testing.assert_allclose(getattr(actual, end), getattr(seen, end))
+        np.testing.assert_allclose(getattr(actual, end), getattr(plain, end))
 
 
 def test_a_mild_distortion_hardly_turns_the_gradient():

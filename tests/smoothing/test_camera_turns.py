@@ -91,7 +91,7 @@ def test_a_camera_without_a_view_stays_as_it_is():
 def test_cameras_whose_calibration_is_true_hardly_turn():
     true = smooth_poses(misstated((0, 1), 0 * TURNS), start(True), SOFTNESS)
     # Trunks are drawn as thick as at the head's distance: painted ones are not.
-    assert np.degrees(np.abs(true.trajectory.turns_cam)).max() < 0.1
+    assert np.degrees(np.abs(true.trajectory.turns_cam)).max() < 0.06
     assert off(true) < 0.006
 
 
