@@ -9,14 +9,20 @@ import os
 import platform
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from bench.command_line import command
+from bench import command, keep_to_one_core
+
+if TYPE_CHECKING:
+    from bench.figures import Metric
 
 # What is worse than the baseline is measured again: a neighbour on the machine is no regression.
 ATTEMPTS = 3
 PARTS = ("frame rate", "rivals", "growth", "headline")
+# Seconds of the clip: quickly, and in full.
+CLIP_S = {True: 1.5, False: 2.0}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -24,20 +30,58 @@ def parser() -> argparse.ArgumentParser:
     result = command("bench", __doc__)
     add = result.add_argument
     add("--quick", action="store_true", help="less than a minute: what the gate needs")
-    add("--json", metavar="FILE", help="write the metrics")
     add("--gate", action="store_true", help="exit 1 where a ratio stays worse than the baseline's")
     add("--only", choices=PARTS, help="one part; not with --gate")
     add("--recordings", metavar="DIR", type=Path, help="real recordings, for the headline's errors")
     add("--detector-python", metavar="PYTHON", help="of an environment with mediapipe 0.10.21")
     add("--all-cores", action="store_true", help="do not keep to one core")
     add("--samples", type=int, metavar="N", help="of the long run; 100000 takes minutes")
+    add("--picture", metavar="FILE", help="draw where the time of a step goes")
     return result
 
 
-def keep_to_one_core() -> None:
-    """This process and its threads, where the system can do that."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+def measured(options: argparse.Namespace, folder: Path) -> "tuple[list[Metric], list[str]]":
+    """All parts, or one; the headline by its name alone.
+
+    Args:
+        options: of the command line.
+        folder: to put recordings in.
+
+    Returns:
+        The figures, and parts of the names of ratios that rivals not installed leave out.
+    """
+    import cv2
+
+    from bench import frame_rate, growth, headline, rivals
+    from bench.clips import film
+
+    cv2.setNumThreads(1)
+    quick, only = options.quick, options.only
+    metrics: list[Metric] = []
+    absent: list[str] = []
+    if only == "headline":
+        found = headline.measure(folder, options.recordings, options.detector_python)
+        return list(shown(only, found)), []
+    footage = film(folder, CLIP_S[quick])
+    if only in (None, "frame rate"):
+        metrics += shown("frame rate", frame_rate.measure(footage, quick))
+        metrics += shown("against the reference", rivals.against_reference(footage, quick))
+    if only in (None, "rivals"):
+        absent = rivals.missing()
+        metrics += shown("rivals", rivals.measure(quick, absent))
+    if only == "growth" or (only is None and not quick):
+        metrics += shown("growth", growth.measure(footage, options.samples or growth.SAMPLES))
+    return metrics, rivals.unmeasured(absent)
+
+
+def shown(part: str, metrics: "Iterator[Metric]") -> "Iterator[Metric]":
+    """The same, with how far it has come on stderr."""
+    from tqdm import tqdm
+
+    with tqdm(metrics, desc=part, unit=" figures") as bar:
+        for metric in bar:
+            bar.set_postfix_str(metric.name)
+            yield metric
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -48,10 +92,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not options.all_cores:
         keep_to_one_core()
     # XLA counts the cores when it is loaded.
+    from bench.figures import table, write_json
+    from bench.frame_rate import draw_stages
     from bench.gate import best, failures, read_baseline
-    from bench.growth import SAMPLES
-    from bench.metrics import Metric, table, write_json
-    from bench.parts import run
     from jaxmocap.pipelines.kept_programs import keep_compiled
 
     keep_compiled()
@@ -62,14 +105,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     runs: list[list[Metric]] = []
     for attempt in range(ATTEMPTS):
         with tempfile.TemporaryDirectory() as folder:
-            metrics, skipped = run(
-                Path(folder), options.quick, options.only, options.samples or SAMPLES,
-                options.recordings, options.detector_python,
-            )  # fmt: skip
+            metrics, skipped = measured(options, Path(folder))
         runs.append(metrics)
         print(table(metrics, baseline))
-        if options.json and not attempt:
+        if not attempt:
             write_json(metrics, options.json)
+            if options.picture:
+                draw_stages(metrics, options.picture)
         if not options.gate or not (problems := failures(best(runs), baseline, skipped)):
             return
         print("\n".join(problems), file=sys.stderr)

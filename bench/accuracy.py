@@ -14,17 +14,16 @@ OUTPUTS: tables, and Metrics as JSON.
 import argparse
 import math
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
+from bench import command, kept, numbers, seeds
 from bench.clips import Clip, real, synthetic
-from bench.command_line import command, numbers, seeds
 from bench.criteria import covered, criteria, pool, table
 from bench.evaluation import Result, evaluate_clip
-from bench.metrics import Metric, aligned, write_json
+from bench.figures import Metric, aligned, write_json
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.formats.settings_file import read_settings
 from jaxmocap.hybrid.settings import Settings
@@ -200,7 +199,6 @@ def parser() -> argparse.ArgumentParser:
         help=f"of {', '.join(KINDS)}; usually all",
     )  # fmt: skip
     add("--keep", metavar="DIR", help="keep synthetic recordings here, rendered once")
-    add("--json", metavar="FILE", help="write the metrics")
     return command_line
 
 
@@ -211,18 +209,17 @@ def main() -> None:
     if options.settings:
         settings = read_settings(options.settings, settings)
     groups: dict[str, list[Result]] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for group, clips in chosen_clips(options, Path(options.keep or folder)).items():
+    with kept(options.keep) as keep:
+        for group, clips in chosen_clips(options, keep).items():
             for clip in clips:
                 print(f"tracking {clip.name}", file=sys.stderr, flush=True)
                 groups.setdefault(group, []).append(
                     evaluate_clip(clip, settings, mode, options.noise)
                 )
     print(report(groups, options.causal))
-    if options.json:
-        every = [metric for results in groups.values() for r in results for metric in metrics(r)]
-        means = (m for group, results in groups.items() for m in mean_metrics(group, results))
-        write_json([*every, *means], options.json)
+    every = [metric for results in groups.values() for r in results for metric in metrics(r)]
+    means = (m for group, results in groups.items() for m in mean_metrics(group, results))
+    write_json([*every, *means], options.json)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ INPUTS: a seed of the places and the people. OUTPUTS: a table with rank correlat
 Metrics as JSON.
 """
 
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -17,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import rankdata
 
+from bench import command, kept
 from bench.clips import ELBOWS, performed
-from bench.command_line import command
-from bench.metrics import Metric, table, write_json
+from bench.figures import Metric, table, write_json
 from jaxmocap.body.skeleton import ELBOWS as ELBOW_ROWS
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.calibration.fitting.camera_plan.expected import of_markers, with_camera
@@ -162,19 +161,16 @@ def main() -> None:
     add("--seed", type=int, default=0, help="of places and people; default: %(default)s")
     add("--keep", metavar="DIR", help="keep rendered recordings here, rendered once")
     add("--picture", metavar="FILE", help="errors over expectations")
-    add("--json", metavar="FILE", help="write the metrics")
     options = parser.parse_args()
     keep_compiled()
     where, seed = places(options.seed), options.seed
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(options.keep or temporary)
+    with kept(options.keep) as folder:
         found = {name: list(outcomes(folder, name, seed, where)) for name in MOVEMENTS}
     metrics = list(correlations(found))
     print(table(metrics))
     if options.picture:
         plot(options.picture, found)
-    if options.json:
-        write_json(metrics, options.json)
+    write_json(metrics, options.json)
 
 
 if __name__ == "__main__":

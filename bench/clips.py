@@ -1,23 +1,32 @@
-"""The recordings that the protocol tracks: real ones, and synthetic ones rendered once.
+"""What is tracked: real recordings, rendered ones, one clip at several sizes, poses that are off.
 
 INPUTS: the folder of real recordings and of people as rigged meshes; seeds, azimuths, names of
 exercises and a folder to keep what is rendered in.
-OUTPUTS: Clips.
+OUTPUTS: Clips; Footage, as a file and decoded; a DisplacedExerciser.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from pathlib import Path
 
+import cv2
+import jax.numpy as jnp
+import numpy as np
+
 from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.capture.video import open_video
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.geometry.cameras import Camera
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.synthetic.four_cameras import write_four_cameras
+from jaxmocap.synthetic.movements.exerciser import Exerciser
 from jaxmocap.synthetic.movements.exercises import exercise
 from jaxmocap.synthetic.movements.motions import MOTIONS, Performance
-from jaxmocap.synthetic.people.rigged_mesh import load_rig
+from jaxmocap.synthetic.movements.splines import KeyStance
+from jaxmocap.synthetic.people.rigged_mesh import load_rig, unit
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
-from jaxmocap.synthetic.recording import write_performance
+from jaxmocap.synthetic.recording import write_performance, write_table_tennis, write_video
 
 ELBOWS = ("elbow_l", "elbow_r")
 # Landmark -> its marker in the reference.
@@ -26,6 +35,10 @@ REAL_LANDMARKS = {"neck": "Neck", "vertex": "Head"} | {
     for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
     for side in "lr"
 }
+SIZES = ((640, 480), (1280, 720), (1920, 1080))
+# First channel and number of channels of each joint of an exerciser, which one error rotates.
+JOINTS = ((3, 3), (6, 3), (9, 1), *((i, n) for s in (10, 14) for i, n in ((s, 3), (s + 3, 1))))
+JOINTS += tuple((i, n) for s in (18, 23) for i, n in ((s, 3), (s + 3, 1), (s + 4, 1)))
 
 
 @dataclass(frozen=True)
@@ -130,3 +143,110 @@ def exercises(
                 write_four_cameras(path.parent, performer, seconds, seed, progress=show)
         clips.append(Clip(kind, name, path, {mark: mark for mark in LANDMARKS}, seed))
     return clips
+
+
+@dataclass(frozen=True)
+class Footage:
+    """A recording at one size.
+
+    Attributes:
+        recording: whose video is a file.
+        times: (F,) of its frames, marker time.
+        images: (F) decoded, BGR.
+    """
+
+    recording: Recording
+    times: np.ndarray
+    images: list[np.ndarray]
+
+    @property
+    def camera(self) -> Camera:
+        """That took the frames."""
+        return self.recording.videos[0].camera
+
+    @property
+    def decoded(self) -> Recording:
+        """The recording with its frames in memory."""
+        (source,) = self.recording.videos
+        # The times in memory are marker time already.
+        still = replace(source, path=None, offset=0.0, frames=(self.times, self.images))
+        return replace(self.recording, videos=(still,))
+
+    def first(self, frames: int) -> "Footage":
+        """So many of its first frames, and the markers until the last of them."""
+        kept = self.recording.times <= self.times[frames - 1]
+        recording = replace(
+            self.recording,
+            times=self.recording.times[kept],
+            positions_world=self.recording.positions_world[kept],
+        )
+        return Footage(recording, self.times[:frames], self.images[:frames])
+
+
+def film(folder: Path, seconds: float) -> Footage:
+    """Table tennis, 640 x 480 at 30 Hz, markers at 90 Hz."""
+    recording = Recording.load(write_table_tennis(folder, seconds))
+    video = open_video(recording.videos[0])
+    images = [image for _, image in video.frames() if image is not None]
+    return Footage(recording, video.times, images)
+
+
+def at_size(footage: Footage, width: int, height: int) -> Footage:
+    """The same scene by a camera of that many pixels: enlarged, and continued at the sides."""
+    scale = height / footage.images[0].shape[0]
+    left = round((width - scale * footage.images[0].shape[1]) / 2)
+    images = [_enlarged(image, scale, left, width) for image in footage.images]
+    camera, shift = footage.camera, np.array([[0, 0, left], [0, 0, 0], [0, 0, 0]])
+    # Centres of pixels are at whole numbers: the image begins at -0.5.
+    zoom = np.array([[scale, 0, (scale - 1) / 2], [0, scale, (scale - 1) / 2], [0, 0, 1]])
+    larger = replace(
+        camera,
+        size=jnp.asarray([width, height], float),
+        matrix=jnp.asarray(zoom @ np.asarray(camera.matrix, float) + shift, float),
+    )
+    (source,) = footage.recording.videos
+    assert source.path is not None
+    path = source.path.with_name(f"video_{width}x{height}.mp4")
+    write_video(path, images)
+    videos = (replace(source, path=path, camera=larger),)
+    return Footage(replace(footage.recording, videos=videos), footage.times, images)
+
+
+def _enlarged(image: np.ndarray, scale: float, left: int, width: int) -> np.ndarray:
+    large = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    right = width - left - large.shape[1]
+    return cv2.copyMakeBorder(large, 0, 0, left, right, cv2.BORDER_REPLICATE)
+
+
+@dataclass(frozen=True)
+class DisplacedExerciser(Exerciser):
+    """One whose joints are rotated, and whose body is moved, by the same at all times.
+
+    Attributes:
+        angle_errors: (28,) added to the channels, degrees.
+        position_error: (3,) added to the position, metres.
+    """
+
+    angle_errors: np.ndarray | float = 0.0
+    position_error: np.ndarray | float = 0.0
+
+    def rig(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As high above the floor as without the errors."""
+        channels = self.curves(np.atleast_1d(times))
+        places = self.places(channels) + self.position_error
+        return self.rig_at(channels + self.angle_errors, places)
+
+
+def displaced(
+    person: Exerciser, rng: np.random.Generator, degrees: float = 5.0, metres: float = 0.03
+) -> DisplacedExerciser:
+    """The same, with every joint rotated by so much in some direction, and the body moved."""
+    errors = np.zeros_like(KeyStance().channels())
+    for first, count in JOINTS:
+        direction = rng.standard_normal(count)
+        errors[first : first + count] = degrees * direction / np.linalg.norm(direction)
+    aside = metres * unit(rng.standard_normal(3))
+    own = {field.name: getattr(person, field.name) for field in fields(Exerciser)}
+    if person.hands is not None:
+        own["hands"] = person.hands + aside
+    return DisplacedExerciser(**own, angle_errors=errors, position_error=aside)

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench.command_line import command
-from bench.metrics import Metric, aligned, write_json
+from bench import command
+from bench.figures import Metric, aligned, write_json
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.fourier import fourier_series, phase_vectors
 from jaxmocap.silhouette import ContourPoseSettings, RigidSurface, solve_contour_pose
@@ -258,7 +258,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--count", type=int, default=50, help="starts a row; default: %(default)s")
     parts = ("wires", "surfaces", "outliers")
     parser.add_argument("--only", choices=parts, help="one table of the three")
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
     options = parser.parse_args(arguments)
     offs, numbers, n = ((30.0, 0.05), (60.0, 0.1)), (1, 2, 4), options.count
     tables = {
@@ -269,8 +268,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     metrics = []
     for part in (options.only,) if options.only else parts:
         metrics += measured("found, %", *tables[part])
-    if options.json:
-        write_json(metrics, options.json)
+    write_json(metrics, options.json)
 
 
 if __name__ == "__main__":

@@ -11,16 +11,15 @@ OUTPUTS: two tables; Metrics as JSON; a picture of the curves.
 
 import argparse
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from bench import add_rendered, command, kept
 from bench.clips import REAL_LANDMARKS, Clip, exercises, real, synthetic
-from bench.command_line import add_rendered, command
-from bench.metrics import Metric, aligned, write_json
+from bench.figures import Metric, aligned, write_json
 from bench.silhouette import REAL
 from jaxmocap.body.motion import UNDETERMINED_M, Motion
 from jaxmocap.body.pose import Pose
@@ -140,8 +139,8 @@ def main() -> None:
     options = parser.parse_args()
     keep_compiled()
     cases: dict[str, list[Errors]] = {}
-    with tempfile.TemporaryDirectory() as scratch:
-        for case, found in tracked(options, Path(options.keep or scratch)):
+    with kept(options.keep) as keep:
+        for case, found in tracked(options, keep):
             cases.setdefault(case, []).append(found)
     runs = {case: pooled(each) for case, each in cases.items()}
     rows, metrics = [["within 90 %, error / stated", *(f"{k}s" for k in KINDS), "all"]], []
@@ -156,8 +155,7 @@ def main() -> None:
             for kind, share in zip((*KINDS, "all"), shares, strict=True)
         ]
     print(aligned(rows), aligned(risks), sep="\n\n")
-    if options.json:
-        write_json(metrics, options.json)
+    write_json(metrics, options.json)
     if options.plot:
         groups: dict[str, list[Errors]] = {}
         for case, each in cases.items():

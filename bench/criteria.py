@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.evaluation import Result, Sureness
-from bench.metrics import aligned
+from bench.figures import aligned
 from jaxmocap.evaluation.errors import IntervalCoverage, interval_coverage
 
 # Of the real recording, which these cameras see from the front and the sides.

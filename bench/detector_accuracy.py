@@ -9,16 +9,15 @@ OUTPUTS: the elbows' mean error by recording, centimetres.
 """
 
 import argparse
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from bench import add_rendered, command, kept
 from bench.clips import Clip, real, synthetic
-from bench.command_line import add_rendered, command
-from bench.metrics import Metric, table, write_json
+from bench.figures import Metric, table, write_json
 from bench.rival_detector import joints_found
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS
 from jaxmocap.formats.recordings.recording import Recording
@@ -84,11 +83,10 @@ def main() -> None:
     add("--detector-python", required=True, help="of an environment with MediaPipe")
     add_rendered(parser)
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        rows = list(measured(options, Path(options.keep or folder)))
+    with kept(options.keep) as keep:
+        rows = list(measured(options, keep))
     print(table(rows))
-    if options.json:
-        write_json(rows, options.json)
+    write_json(rows, options.json)
 
 
 if __name__ == "__main__":

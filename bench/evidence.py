@@ -22,10 +22,10 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from bench import command, kept, seeds
 from bench.clips import Clip, real, synthetic
-from bench.command_line import command, seeds
+from bench.figures import Metric, aligned, write_json
 from bench.flattening import flattened
-from bench.metrics import Metric, aligned, write_json
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.keypoints import open_keypoints
@@ -260,29 +260,27 @@ def parser() -> argparse.ArgumentParser:
     add("--seeds", type=seeds, default=seeds("0-2"), metavar="0-2", help="of table tennis")
     add("--keep", metavar="DIR", help="keep synthetic recordings here, rendered once")
     add("--quick", action="store_true", help="half a second of one seed, few kinds of evidence")
-    add("--json", metavar="FILE", help="write the metrics")
     return command_line
 
 
 def main(arguments: list[str] | None = None) -> None:
     options = parser().parse_args(arguments)
     keep_compiled()
-    with tempfile.TemporaryDirectory() as folder, progress_bar("measuring", True) as show:
-        clips = chosen_clips(options, Path(options.keep or folder))
+    with kept(options.keep) as keep, progress_bar("measuring", True) as show:
+        clips = chosen_clips(options, keep)
         measured = measure_all(clips, options.quick, show)
     print("elbows: distance from the truth, cm; of each recording the mean")
     for group, of_group in measured.items():
         print(f"\n{group}\n{table(of_group)}")
-    if options.json:
-        write_json(
-            (
-                Metric(f"{name}, {kind}", spread(distances)[0], "cm", tolerance=0.05)
-                for of_group in measured.values()
-                for name, kinds in of_group.items()
-                for kind, distances in kinds.items()
-            ),
-            options.json,
-        )
+    write_json(
+        (
+            Metric(f"{name}, {kind}", spread(distances)[0], "cm", tolerance=0.05)
+            for of_group in measured.values()
+            for name, kinds in of_group.items()
+            for kind, distances in kinds.items()
+        ),
+        options.json,
+    )
 
 
 if __name__ == "__main__":

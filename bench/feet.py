@@ -8,14 +8,13 @@ slides against the truth's, in a second and from a step's first frame to its las
 INPUTS: the folder of people as rigged meshes. OUTPUTS: a table, and Metrics.
 """
 
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
+from bench import add_rendered, command, kept
 from bench.clips import Clip, exercises
-from bench.command_line import add_rendered, command
-from bench.metrics import Metric, aligned, write_json
+from bench.figures import Metric, aligned, write_json
 from bench.silhouette import prepared
 from jaxmocap.body.surfaces.surface import bones_over_time, nodes_over_time
 from jaxmocap.evaluation.series import match
@@ -79,8 +78,8 @@ def main() -> None:
     options = parser.parse_args()
     keep_compiled()
     file, cells, metrics = Path(options.recordings) / "person" / "person.npz", [], []
-    with tempfile.TemporaryDirectory() as folder:
-        keep, people = Path(options.keep or folder), options.people.split(",")
+    with kept(options.keep) as keep:
+        people = options.people.split(",")
         names = options.only.split(",")
         clips = exercises(file, names, options.seeds, people, options.seconds, keep)
         for clip in clips:
@@ -91,8 +90,7 @@ def main() -> None:
                 for (name, unit), value in zip(FIGURES.items(), figures, strict=True)
             ]
     print(aligned([["", *(f"{name}, {unit}" for name, unit in FIGURES.items())], *cells]))
-    if options.json:
-        write_json(metrics, options.json)
+    write_json(metrics, options.json)
 
 
 if __name__ == "__main__":

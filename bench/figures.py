@@ -1,4 +1,6 @@
-"""The figures that pages cite: what some commands measured, each with its command and day.
+"""Figures that a benchmark reports, as a table and as JSON, and those that pages cite.
+
+What some commands measured is kept in ``figures.json``, each with its command and day:
 
     python -m bench.paper --json found.json
     python -m bench.figures paper found.json --command "python -m bench.paper"
@@ -6,21 +8,95 @@
 A page links to ``bench/figures.json#paper/bare``: the group, and the beginning of the figures'
 names as ``slug`` writes them. ``tests/docs/test_figures.py`` compares the link's text with them.
 
-INPUTS: what ``--json`` of a benchmark or of a command of jaxmocap wrote; ``figures.json``.
-OUTPUTS: ``figures.json`` with that run's figures.
+INPUTS: numbers; what ``--json`` of a benchmark or of a command of jaxmocap wrote.
+OUTPUTS: Metrics; text; {"metrics": [...]}; ``figures.json`` with that run's figures.
 """
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from bench.command_line import command
+import numpy as np
 
+from bench import command
+
+MEDIAN, LATE = ", median", ", 99 %"
+# A ratio to another program's time changes with that program's version and with the machine: on
+# unchanged code by 143 % at most so far. So it fails only where ours has become 2.5 times as slow.
+OF_OTHERS = 1.5
 FIGURES = Path(__file__).with_name("figures.json")
 TIMES = ("s", "ms", "1/s")
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One figure, and which way it should move.
+
+    Attributes:
+        name: what was measured.
+        value: in ``unit``.
+        unit: ms, s, 1/s, cm, MiB, % or x (a ratio).
+        direction: whether lower or higher is better.
+        tolerance: relative change against a baseline that may be chance.
+    """
+
+    name: str
+    value: float
+    unit: str
+    direction: Literal["lower", "higher"] = "lower"
+    tolerance: float = 0.5
+
+
+def stage_metrics(name: str, milliseconds: Sequence[float] | np.ndarray) -> list[Metric]:
+    """Median and 99th percentile; chance moves the latter further."""
+    median, p99 = np.percentile(milliseconds, [50, 99])
+    return [
+        Metric(f"{name}{MEDIAN}", float(median), "ms"),
+        Metric(f"{name}{LATE}", float(p99), "ms", tolerance=1.0),
+    ]
+
+
+def write_json(metrics: Iterable[Metric], path: str | Path | None) -> None:
+    """Write the metrics where a baseline can be held against them; nothing without a path."""
+    if path is None:
+        return
+    entries = [asdict(metric) for metric in metrics]
+    text = json.dumps({"metrics": entries}, indent=2, allow_nan=False)
+    Path(path).write_text(text + "\n", encoding="utf-8")
+
+
+def read_json(path: str | Path) -> list[Metric]:
+    """Metrics that were written."""
+    entries = json.loads(Path(path).read_text(encoding="utf-8"))["metrics"]
+    return [Metric(**entry) for entry in entries]
+
+
+def table(metrics: Iterable[Metric], baseline: Iterable[Metric] = ()) -> str:
+    """One row for each figure, with its 99th percentile and the committed value beside it."""
+    measured, committed = list(metrics), {metric.name: metric for metric in baseline}
+    late = {m.name.removesuffix(LATE): m for m in measured if m.name.endswith(LATE)}
+    rows = [["", "median", "99 %", "unit", "baseline"]]
+    for metric in measured:
+        if metric.name.endswith(LATE):
+            continue
+        name = metric.name.removesuffix(MEDIAN)
+        cells = [metric, late.get(name), committed.get(metric.name)]
+        value, p99, before = (f"{cell.value:.3g}" if cell else "" for cell in cells)
+        rows.append([name, value, p99, metric.unit, before])
+    return aligned(rows)
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Rows as a table: first column to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = (
+        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in rows
+    )
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def slug(name: str) -> str:
@@ -72,7 +148,7 @@ def record(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = command("bench.figures", __doc__)
+    parser = command("bench.figures", __doc__, metrics=False)
     add = parser.add_argument
     add("group", help="of figures.json")
     add("run", type=Path, metavar="RUN.json", help="what the command's --json wrote")

@@ -4,25 +4,28 @@ INPUTS: a synthetic table-tennis clip, 30 Hz, markers at 90 Hz.
 OUTPUTS: Metrics. Frames are decoded beforehand but where the name says otherwise.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import jax
+import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 
+from bench.clips import SIZES, Footage, at_size
 from bench.clock import (
     BusyClock,
     Span,
     Stopwatch,
+    both_arms,
+    image_chain,
     peak_mib,
     ratio,
     settle_garbage,
     start_up,
     timed,
 )
-from bench.footage import SIZES, Footage, at_size
-from bench.image_chain import both_arms, image_chain
-from bench.metrics import OF_OTHERS, Metric, stage_metrics
+from bench.figures import OF_OTHERS, Metric, stage_metrics
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import build_timeline
@@ -45,6 +48,16 @@ STAGES = {
     "frame": "causal step with a frame",
     "sample": "causal step without a frame",
 }
+# Stage -> what it is called in the picture, from the ground up.
+DRAWN = {
+    "observe": "observe: edges, distance fields",
+    "solve": "solve: inverse kinematics",
+    "refine": "refine: search, simplex, balance",
+    "smooth": "smooth: silhouettes, the newest frames together",
+}
+# Smoothed, frames are observed and refined where the smoothing asks for it: that is of the rest.
+DRAWN_REST, LIMIT = "the rest: crossings, reports; smoothed, what is refined on demand", 2.0
+COLOURS = {"observe": "C0", "solve": "C2", "refine": "C1", "smooth": "C3", "rest": "0.7"}
 
 
 @dataclass
@@ -263,3 +276,49 @@ def otherwise(footage: Footage, ways: list) -> Iterator[Metric]:
         pace = causal(tracker, footage, image_at)
         name = "markers only" if refine == "none" else refine
         yield from stage_metrics(f"640x480, {name}, step", pace.wall("frame"))
+
+
+def stages_over_chain(figures: dict[str, float]) -> dict[str, dict[str, float]]:
+    """Bar -> stage -> multiples of the image chain."""
+
+    def bar(names: list[str], total: str) -> dict[str, float]:
+        parts = {name: figures[f"{name}_over_image_chain"] for name in names}
+        return parts | {"rest": max(figures[total] - sum(parts.values()), 0.0)}
+
+    frame = ["observe", "solve", "refine"]
+    return {
+        "frame by frame": bar(frame, "tracker_step_over_image_chain"),
+        "causal, smoothed": bar(["solve", "smooth"], "step_over_image_chain"),
+    }
+
+
+def draw(axes: Axes, bars: dict[str, dict[str, float]]) -> None:
+    """Stacked bars with their sums, and the limit."""
+    colours, named = DRAWN | {"rest": DRAWN_REST}, set()
+    for row, parts in enumerate(bars.values()):
+        left = 0.0
+        for stage, size in parts.items():
+            label = None if stage in named else colours[stage]
+            named.add(stage)
+            axes.barh(row, size, left=left, color=COLOURS[stage], label=label)
+            if size > 0.7:
+                axes.text(left + size / 2, row, f"{size:.1f}", ha="center", va="center")
+            left += size
+        axes.text(left + 0.2, row, f"{left:.1f}", va="center", weight="bold")
+    axes.axvline(LIMIT, color="k", linestyle="--", label=f"aimed at: {LIMIT:g}")
+    axes.set_yticks(range(len(bars)), list(bars))
+    axes.set_xlabel("processor time of a step with a video frame / OpenCV's bare image chain")
+    axes.legend(loc="lower right", fontsize=8)
+    axes.set_ylim(-1.6, len(bars) - 0.4)
+    axes.margins(x=0.08)
+
+
+def draw_stages(metrics: Iterable[Metric], path: str) -> None:
+    """A picture of where the time of a causal step goes.
+
+    A bar for each way of working, stage upon stage, as multiples of OpenCV's bare image chain; the
+    line is what was aimed at.
+    """
+    figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
+    draw(axes, stages_over_chain({metric.name: metric.value for metric in metrics}))
+    figure.savefig(path, dpi=110)

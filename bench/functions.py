@@ -23,10 +23,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bench.__main__ import keep_to_one_core
+from bench import command, keep_to_one_core
 from bench.clock import ratio, settle_garbage, timed
-from bench.command_line import command
-from bench.metrics import Metric, stage_metrics, table, write_json
+from bench.figures import Metric, stage_metrics, table, write_json
 
 RATE_HZ, SECONDS = 30, 2.0
 # How many at a time, and how often each is timed.
@@ -194,7 +193,6 @@ def main() -> None:
     """Print the table."""
     parser = command("bench.functions", __doc__)
     parser.add_argument("--only", metavar="NAME", help="those whose name begins so; or rivals")
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
     options = parser.parse_args()
     keep_to_one_core()
     chosen, metrics = options.only or "", []
@@ -209,8 +207,7 @@ def main() -> None:
     if not metrics:
         parser.error(f"--only {chosen!r}: no function's name begins so")
     print(table(metrics))
-    if options.json:
-        write_json(metrics, options.json)
+    write_json(metrics, options.json)
 
 
 if __name__ == "__main__":

@@ -20,8 +20,8 @@ from typing import Literal
 
 import numpy as np
 
-from bench.command_line import command
-from bench.metrics import Metric, aligned, read_json
+from bench import command
+from bench.figures import Metric, aligned, read_json
 
 BASELINE = Path(__file__).with_name("baseline.json")
 RATIO = "x"
@@ -106,7 +106,7 @@ def write_baseline(mode: Mode, metrics: Iterable[Metric], path: Path = BASELINE)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = command("bench.gate", __doc__)
+    parser = command("bench.gate", __doc__, metrics=False)
     parser.add_argument("runs", nargs="+", metavar="RUN.json")
     parser.add_argument("--mode", choices=("quick", "full"), required=True)
     parser.add_argument("--write", action="store_true", help="medians to the baseline")

@@ -19,11 +19,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bench import command
+from bench.clips import Footage, film
 from bench.clock import interleaved
-from bench.command_line import command
-from bench.footage import Footage, film
-from bench.metrics import Metric, table, write_json
-from bench.rival_kinematics import random_poses
+from bench.figures import Metric, table, write_json
+from bench.rivals import random_poses
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
@@ -200,7 +200,6 @@ def against_float64() -> Iterator[Metric]:
 
 def main() -> None:
     parser = command("bench.gpu", __doc__)
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
     parser.add_argument("--most", type=int, default=BATCHES[-1], help="the largest batch")
     options = parser.parse_args()
     keep_compiled()
@@ -214,8 +213,7 @@ def main() -> None:
             print(f"{metric.name}: {metric.value:.4g} {metric.unit}", flush=True)
             metrics.append(metric)
     print(table(metrics))
-    if options.json:
-        write_json(metrics, options.json)
+    write_json(metrics, options.json)
 
 
 if __name__ == "__main__":

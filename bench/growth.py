@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bench.clips import Footage
 from bench.clock import Stopwatch, interleaved, peak_mib
-from bench.footage import Footage
-from bench.metrics import Metric
+from bench.figures import Metric
 from jaxmocap.body.kinematics import forward, jacobian
 from jaxmocap.body.model import marker_sites
 from jaxmocap.body.pose import Pose

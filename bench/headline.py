@@ -17,11 +17,10 @@ from time import process_time
 
 import numpy as np
 
-from bench.clips import REAL_LANDMARKS, Clip, real, synthetic
+from bench.clips import REAL_LANDMARKS, Clip, Footage, at_size, film, real, synthetic
 from bench.clock import Stopwatch, settle_garbage
-from bench.footage import Footage, at_size, film
+from bench.figures import Metric
 from bench.frame_rate import Pace, causal
-from bench.metrics import Metric
 from bench.rival_detector import detector
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.evaluation.motions import evaluate

@@ -7,7 +7,6 @@ recording is tracked with the body as stated, as estimated and as it is.
 INPUTS: seeds. OUTPUTS: a table, and Metrics.
 """
 
-import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,9 +15,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from bench import command, kept, seeds
 from bench.clips import ELBOWS
-from bench.command_line import command, seeds
-from bench.metrics import Metric, aligned, write_json
+from bench.figures import Metric, aligned, write_json
 from bench.stretching import stretching, unusual
 from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import Skeleton
@@ -128,15 +127,12 @@ def main() -> None:
     parser = command("bench.lengths", __doc__)
     parser.add_argument("--seeds", type=seeds, default=range(3), help="people; default: 0-2")
     parser.add_argument("--keep", metavar="DIR", help="where rendered recordings stay")
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
     options = parser.parse_args()
     keep_compiled()
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(options.keep or scratch)
+    with kept(options.keep) as folder:
         people = {seed: measure(folder, seed) for seed in options.seeds}
     print(text(people))
-    if options.json:
-        write_json(list(metrics(people)), options.json)
+    write_json(list(metrics(people)), options.json)
 
 
 if __name__ == "__main__":

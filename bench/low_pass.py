@@ -8,17 +8,16 @@ INPUTS: the folder of recordings; without one the synthetic ones alone. OUTPUTS:
 Metrics.
 """
 
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from bench import command, kept, seeds
 from bench.clips import Clip, real, synthetic
-from bench.command_line import command, seeds
 from bench.evaluation import calm_of
-from bench.metrics import Metric, aligned, write_json
+from bench.figures import Metric, aligned, write_json
 from jaxmocap.body.motion import Motion
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.formats.recordings.recording import Recording
@@ -63,12 +62,10 @@ def main() -> None:
     parser.add_argument("recordings", nargs="?", help="folder of the real recordings")
     parser.add_argument("--seeds", type=seeds, default=seeds("0-4"), metavar="0-4", help="players")
     parser.add_argument("--keep", metavar="DIR", help="keep rendered recordings here")
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
     options = parser.parse_args()
     keep_compiled()
     cells, metrics = [["", "Hz", *(f"{name}, {unit}" for name, unit in FIGURES.items())]], []
-    with tempfile.TemporaryDirectory() as folder:
-        keep = Path(options.keep or folder)
+    with kept(options.keep) as keep:
         groups = {"tennis": synthetic("tennis", options.seeds, AZIMUTHS, 6.0, keep)}
         if options.recordings:
             groups["balancing"] = real(Path(options.recordings))
@@ -82,8 +79,7 @@ def main() -> None:
                         for (name, unit), v in zip(FIGURES.items(), row, strict=True)
                     ]
     print(aligned(cells))
-    if options.json:
-        write_json(metrics, options.json)
+    write_json(metrics, options.json)
 
 
 if __name__ == "__main__":

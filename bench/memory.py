@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 
-from bench.command_line import command
-from bench.metrics import Metric, write_json
+from bench import command
+from bench.figures import Metric, write_json
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
@@ -164,7 +164,6 @@ def main() -> None:
     parser = command("bench.memory", __doc__)
     parser.add_argument("samples", type=int, nargs="+")
     parser.add_argument("--track", action="store_true", help="track, and nothing else")
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
     parser.add_argument("--plot", metavar="FILE", help="draw the memory over time")
     options = parser.parse_args()
     metrics, drawn = [], {}
@@ -191,8 +190,7 @@ def main() -> None:
             print(f"{name}: {slope:.2f} kB more for each further sample")
     if options.plot:
         draw(drawn, options.plot)
-    if options.json:
-        write_json(metrics, options.json)
+    write_json(metrics, options.json)
 
 
 if __name__ == "__main__":

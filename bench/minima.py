@@ -22,9 +22,9 @@ import numpy as np
 from jax import Array
 from scipy.optimize import least_squares as scipys
 
+from bench import command
 from bench.clock import timed
-from bench.command_line import command
-from bench.metrics import Metric, table, write_json
+from bench.figures import Metric, table, write_json
 from jaxmocap import LANDMARKS, Model, Recording, Settings, Skeleton, landmarks, solve
 from jaxmocap.body.kinematics import forward, landmark_sites
 from jaxmocap.body.model import on_unmarked_feet
@@ -303,14 +303,12 @@ def main() -> None:
     parser = command("bench.minima", __doc__)
     parser.add_argument("--each", type=int, default=10, help="problems of a kind and a person")
     parser.add_argument("--recordings", metavar="DIR", type=Path, help="real recordings")
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
     options = parser.parse_args()
     cases = problems(filmed(options.recordings), options.each)
     print(f"{len(cases)} problems")
     metrics = list(measure(cases))
     print(table(metrics))
-    if options.json:
-        write_json(metrics, options.json)
+    write_json(metrics, options.json)
 
 
 if __name__ == "__main__":

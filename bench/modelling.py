@@ -7,7 +7,6 @@ has it and as measured people need. What the method assumes of people's proporti
 INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a table, and Metrics.
 """
 
-import tempfile
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
@@ -16,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
+from bench import command, kept, seeds
 from bench.anthropometry import MeasuredPerson, tape_measure
-from bench.command_line import command, seeds
-from bench.metrics import Metric, aligned, write_json
+from bench.figures import Metric, aligned, write_json
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, ModelResult, model_from
 from jaxmocap.silhouette.modelling.arm_surface import INNER_RINGS, SLICES
 from jaxmocap.silhouette.modelling.readings import READINGS
@@ -165,13 +164,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--seeds", type=seeds, default=seeds("0"), metavar="0-2", help="of backdrops and noise"
     )
     parser.add_argument("--keep", metavar="DIR", help="keep photographs here")
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
     options = parser.parse_args(arguments)
     people = Path(options.recordings) / "person" / "person.npz"
     rows: dict[str, dict[str, list[Errors]]] = {reading: {} for reading in READINGS}
-    with tempfile.TemporaryDirectory() as scratch:
+    with kept(options.keep) as keep:
         for who, seed in product(options.people.split(","), options.seeds):
-            rig, folder = load_rig(people, who), Path(options.keep or scratch) / f"{who}_{seed}"
+            rig, folder = load_rig(people, who), keep / f"{who}_{seed}"
             calibration = write_photographs(folder, rig, seed)
             for reading, of in rows.items():
                 of.setdefault(who, []).append(errors(rig, folder, calibration, reading))
@@ -182,8 +180,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for reading, of in rows.items():
         print(f"\n{reading} reading")
         print(text({who: together(some) for who, some in of.items()} | {"all": summed[reading]}))
-    if options.json:
-        write_json([m for pair in summed.items() for m in metrics(*pair)], options.json)
+    write_json([m for pair in summed.items() for m in metrics(*pair)], options.json)
 
 
 if __name__ == "__main__":

@@ -9,16 +9,15 @@ stand at first; so is the first pose.
 INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a table, and Metrics.
 """
 
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from bench import add_rendered, command, kept
 from bench.clips import Clip, exercises
-from bench.command_line import add_rendered, command
-from bench.metrics import Metric, aligned, write_json
+from bench.figures import Metric, aligned, write_json
 from bench.silhouette import Result, evaluated
 from jaxmocap.body.skeleton import LANDMARKS, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
@@ -96,8 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     keep_compiled()
     file, every = Path(options.recordings) / "person" / "person.npz", []
-    with tempfile.TemporaryDirectory() as scratch:
-        keep = Path(options.keep or scratch)
+    with kept(options.keep) as keep:
         for girdle, how in GIRDLES.items():
             results = {}
             # Everybody in clothes and rooms of their own.
@@ -107,8 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                     results[clip.name] = tuple(tracked(clip, way) for way in WAYS.values())
             print(f"\n{girdle}\n{aligned(rows(results))}", flush=True)
             every += metrics(girdle, results)
-    if options.json:
-        write_json(every, options.json)
+    write_json(every, options.json)
 
 
 if __name__ == "__main__":

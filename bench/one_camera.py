@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from bench import add_rendered, command, kept
 from bench.clips import Clip, exercises, real, synthetic
-from bench.command_line import add_rendered, command
-from bench.metrics import Metric, table, write_json
+from bench.figures import Metric, table, write_json
 from bench.rival_detector import joints_found
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
@@ -126,13 +126,12 @@ def main() -> None:
     options = parser.parse_args()
     keep_compiled()
     rows: list[Metric] = []
-    with tempfile.TemporaryDirectory() as folder:
-        for clip, camera in clips(options, Path(options.keep or folder)):
+    with kept(options.keep) as keep:
+        for clip, camera in clips(options, keep):
             rows += tracked(clip, camera, options.detector_python, options.passes)
             print(table(rows[-4:]), flush=True)
     print(table(rows + means(rows)))
-    if options.json:
-        write_json(rows + means(rows), options.json)
+    write_json(rows + means(rows), options.json)
 
 
 def means(rows: list[Metric]) -> list[Metric]:

@@ -17,8 +17,8 @@ from time import perf_counter
 import jax
 import numpy as np
 
-from bench.command_line import command, seeds
-from bench.metrics import Metric, aligned, write_json
+from bench import command, seeds
+from bench.figures import Metric, aligned, write_json
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.capture.markers import interpolate_markers
@@ -104,14 +104,12 @@ def main() -> None:
     add = command_line.add_argument
     add("--seeds", type=seeds, default=seeds("0-4"), metavar="0-4", help="of the players")
     add("--seconds", type=float, default=6.0, help="of each clip; default: %(default)s")
-    add("--json", metavar="FILE", help="write the metrics")
     options = command_line.parse_args()
     keep_compiled()
     with tempfile.TemporaryDirectory() as folder:
         rows, metrics = zip(*measure(options.seeds, options.seconds, Path(folder)), strict=True)
     print(aligned([*HEADINGS, *rows]))
-    if options.json:
-        write_json((metric for each in metrics for metric in each), options.json)
+    write_json((metric for each in metrics for metric in each), options.json)
 
 
 if __name__ == "__main__":

@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bench import command
 from bench.clock import interleaved
-from bench.command_line import command
 from bench.contour_pose import camera_at, surface_trial, trial
-from bench.metrics import aligned, stage_metrics, write_json
+from bench.figures import aligned, stage_metrics, write_json
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import relaxed_pose, retract
 from jaxmocap.body.skeleton import Skeleton
@@ -79,7 +79,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, print."""
     parser = command("bench.paper_times", __doc__)
     parser.add_argument("--rounds", type=int, default=50, help="of each; default: %(default)s")
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
     options = parser.parse_args(arguments)
     functions = {"balance": balance(), f"{POINTS} points": points_on_rays()}
     functions |= {name: each for number in (1, 2) for name, each in contours(number)}
@@ -91,8 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         cells.append([name, paper.get(name, ""), *figures])
         metrics += stage_metrics(f"paper's times, {name}", spans[:, 0])
     print(aligned(cells))
-    if options.json:
-        write_json(metrics, options.json)
+    write_json(metrics, options.json)
 
 
 if __name__ == "__main__":

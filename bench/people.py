@@ -17,8 +17,8 @@ from unittest.mock import patch
 
 import numpy as np
 
-from bench.command_line import command
-from bench.metrics import Metric, aligned, write_json
+from bench import command
+from bench.figures import Metric, aligned, write_json
 from bench.walkers import MOVEMENTS, as_toml, learned, walks
 from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.capture.timeline import Mode
@@ -82,7 +82,6 @@ def main() -> None:
     parser.add_argument("recordings", type=Path)
     parser.add_argument("--causal", action="store_true", help="as a live run would have it")
     parser.add_argument("--only", metavar="PERSON,...", help="default: all")
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
     parser.add_argument("--learn", metavar="FILE", help="write what all of them do, and end")
     options = parser.parse_args()
     folders = sorted((options.recordings / "people").glob("person_*"))
@@ -124,8 +123,7 @@ def main() -> None:
                 for name, figure in zip(FIGURES, mean, strict=True)
             ]
     print(aligned(rows))
-    if options.json:
-        write_json(metrics, options.json)
+    write_json(metrics, options.json)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a t
 
 import argparse
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,9 +23,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench import add_rendered, command, kept
 from bench.clips import Clip, exercises
-from bench.command_line import add_rendered, command
-from bench.metrics import Metric, aligned, write_json
+from bench.figures import Metric, aligned, write_json
 from bench.silhouette import KINDS, Result, evaluated
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
@@ -141,8 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     keep_compiled()
     people, rows = Path(options.recordings) / "person" / "person.npz", []
-    with tempfile.TemporaryDirectory() as scratch:
-        keep = Path(options.keep or scratch)
+    with kept(options.keep) as keep:
         for who in options.people.split(","):
             rig, seeds = load_rig(people, who), options.seeds
             person = photographed(rig, keep / f"photographs_{who}", seeds[0])
@@ -151,8 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 rows.append(tracked(clip, rig, person, options.bodies))
                 print(text(rows), file=sys.stderr, flush=True)
     print(text(rows))
-    if options.json:
-        write_json(list(metrics(rows)), options.json)
+    write_json(list(metrics(rows)), options.json)
 
 
 if __name__ == "__main__":

@@ -15,8 +15,8 @@ import jax
 import numpy as np
 from scipy.spatial import KDTree
 
-from bench.command_line import command
-from bench.metrics import Metric, aligned, write_json
+from bench import command
+from bench.figures import Metric, aligned, write_json
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
@@ -96,19 +96,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("recordings", metavar="RECORDINGS")
     parser.add_argument("--people", default=",".join(PEOPLE), help="default: %(default)s")
     parser.add_argument("--seed", type=int, default=3, help="of the movement")
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
     options = parser.parse_args(arguments)
     people = Path(options.recordings) / "person" / "person.npz"
     results = {who: errors(people, who, options.seed) for who in options.people.split(",")}
     results["mean"] = tuple(np.mean(list(results.values()), 0))
     cells = [[who, *(f"{1000 * value:.1f}" for value in pair)] for who, pair in results.items()]
     print(aligned([["trunk's skin, mm off", "off", "on"], *cells]))
-    if options.json:
-        pairs = zip(("off", "on"), results["mean"], strict=True)
-        write_json(
-            [Metric(f"raised skin {state}", 1000 * value, "mm") for state, value in pairs],
-            options.json,
-        )
+    pairs = zip(("off", "on"), results["mean"], strict=True)
+    write_json(
+        [Metric(f"raised skin {state}", 1000 * value, "mm") for state, value in pairs],
+        options.json,
+    )
 
 
 if __name__ == "__main__":

@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bench.command_line import command
-from bench.metrics import aligned
+from bench import command
+from bench.figures import aligned
 from jaxmocap.body.arms import arms_of
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
@@ -262,7 +262,7 @@ def compare(tracker: HybridTracker, given: list[Frame], budget: float) -> str:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    result = command("bench.refinement", __doc__)
+    result = command("bench.refinement", __doc__, metrics=False)
     result.add_argument("recordings", nargs="+", metavar="RECORDING.toml")
     result.add_argument("--every", type=int, default=1, help="one frame in so many")
     result.add_argument("--budget", type=float, default=1.5, help="milliseconds that each may take")

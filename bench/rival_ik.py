@@ -1,16 +1,17 @@
 """Inverse kinematics against others: the same body, the same targets, to the same millimetre.
 
-Head, wrists and ankles (five bones' joints) follow a moving body at 30 Hz. Everybody starts each
-frame from its own last pose and iterates until the farthest target is met within a millimetre, or
-for a while. Ours, the paper's algorithm 1, minds limits and draws the body to a relaxed pose on the
-way; by itself it makes some steps in any case, so that this goes on while a person stands: that is
-"ours_settling". The tracker's default is beside others in ``bench.functions``.
+Our skeleton is modelled for MuJoCo (and mink) and for Pinocchio (and pink). Head, wrists and ankles
+(five bones' joints) follow a moving body at 30 Hz. Everybody starts each frame from its own last
+pose and iterates until the farthest target is met within a millimetre, or for a while. Ours, the
+paper's algorithm 1, minds limits and draws the body to a relaxed pose on the way; by itself it
+makes some steps in any case, so that this goes on while a person stands: that is "ours_settling".
+The tracker's default is beside others in ``bench.functions``.
 
 INPUTS: a skeleton, a made-up motion. OUTPUTS: Metrics.
 """
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import jax
@@ -20,8 +21,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bench.clock import Span, ratio, timed
-from bench.metrics import OF_OTHERS, Metric, stage_metrics
-from bench.rival_bodies import PinocchioBody, limited_mujoco, mujoco_points, mujoco_vector
+from bench.figures import OF_OTHERS, Metric, stage_metrics
+from bench.rivals import PinocchioBody
 from jaxmocap.body.kinematics import Sites, forward
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, relaxed_pose
@@ -29,6 +30,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.markers import Goals
 from jaxmocap.hybrid import ik
 from jaxmocap.hybrid.settings import IKSettings
+from tests.subjects.mujoco_body import MujocoBody
 
 REACHING = ("head", "hand_l", "hand_r", "foot_l", "foot_r")
 RATE, FRAMES = 30, {True: 60, False: 200}
@@ -41,6 +43,28 @@ STEP_DAMPING_M = 0.03
 SOLVER = "daqp"
 # Takes targets (5, 3), goes on from its last pose, and returns its points (5, 3).
 Follower = Callable[[np.ndarray], np.ndarray]
+
+
+def limited_mujoco(skeleton: Skeleton) -> MujocoBody:
+    """MuJoCo's body, with our limits on its hinges."""
+    body = MujocoBody(skeleton)
+    body.model.jnt_limited[body.joint_ids] = 1
+    body.model.jnt_range[body.joint_ids] = np.asarray(skeleton.limits, float)
+    return body
+
+
+def mujoco_vector(body: MujocoBody, pose: Pose) -> np.ndarray:
+    """A pose as MuJoCo's qpos."""
+    q = np.zeros(body.model.nq)
+    q[:3], q[3:7], q[body.positions] = (np.asarray(part, float) for part in pose)
+    return q
+
+
+def mujoco_points(body: MujocoBody, q: np.ndarray) -> np.ndarray:
+    """Positions (B, 3) of our bones' joints, world."""
+    body.data.qpos[:] = q
+    mujoco.mj_kinematics(body.model, body.data)
+    return body.data.xpos[body.ids]
 
 
 def motion(skeleton: Skeleton, frames: int) -> tuple[Pose, np.ndarray]:
@@ -144,16 +168,19 @@ def ours(skeleton: Skeleton, start: Pose, settings: IKSettings) -> Follower:
     return follow
 
 
+def mujoco_slopes(body: MujocoBody, rows: Sequence[int], points: np.ndarray) -> np.ndarray:
+    """(3 K, V) of K bones' points (K, 3) by MuJoCo's velocities, where ``mujoco_points`` was."""
+    mujoco.mj_comPos(body.model, body.data)
+    J = np.empty((len(rows), 3, body.model.nv))
+    for own, row, point in zip(J, rows, points, strict=True):
+        mujoco.mj_jac(body.model, body.data, own, None, point, body.ids[row])
+    return J.reshape(-1, body.model.nv)
+
+
 def damped_steps(skeleton: Skeleton, start: Pose) -> Follower:
     """MuJoCo's kinematics and a damped step in NumPy: neither limits nor posture."""
-    body = limited_mujoco(skeleton)
-    model, data = body.model, body.data
-    rows, ids = (
-        [skeleton.tree.bone(name) for name in REACHING],
-        [model.body(n).id for n in REACHING],
-    )
-    q, ridge = mujoco_vector(body, start), STEP_DAMPING_M**2 * np.eye(3 * len(ids))
-    J = np.zeros((len(ids), 3, model.nv))
+    body, rows = limited_mujoco(skeleton), [skeleton.tree.bone(name) for name in REACHING]
+    q, ridge = mujoco_vector(body, start), STEP_DAMPING_M**2 * np.eye(3 * len(rows))
 
     def follow(targets: np.ndarray) -> np.ndarray:
         points = mujoco_points(body, q)[rows]
@@ -161,12 +188,9 @@ def damped_steps(skeleton: Skeleton, start: Pose) -> Follower:
             away = targets - points
             if np.linalg.norm(away, axis=1).max() < TOLERANCE_M:
                 break
-            mujoco.mj_comPos(model, data)
-            for i, bone in enumerate(ids):
-                mujoco.mj_jac(model, data, J[i], None, points[i], bone)
-            flat = J.reshape(-1, model.nv)
-            step = flat.T @ np.linalg.solve(flat @ flat.T + ridge, away.ravel())
-            mujoco.mj_integratePos(model, q, step, 1.0)
+            J = mujoco_slopes(body, rows, points)
+            step = J.T @ np.linalg.solve(J @ J.T + ridge, away.ravel())
+            mujoco.mj_integratePos(body.model, q, step, 1.0)
             points = mujoco_points(body, q)[rows]
         return points
 
@@ -175,20 +199,19 @@ def damped_steps(skeleton: Skeleton, start: Pose) -> Follower:
 
 def by_scipy(skeleton: Skeleton, start: Pose, limits: bool) -> Follower:
     """``scipy.optimize.least_squares`` on MuJoCo's kinematics and Jacobian, about the last pose."""
-    body = limited_mujoco(skeleton)
-    model, data = body.model, body.data
-    rows, ids = (
-        [skeleton.tree.bone(name) for name in REACHING],
-        [model.body(n).id for n in REACHING],
+    body, rows = limited_mujoco(skeleton), [skeleton.tree.bone(name) for name in REACHING]
+    q, relaxed, size = (
+        mujoco_vector(body, start),
+        np.asarray(skeleton.relaxed, float),
+        body.model.nv,
     )
-    q, relaxed = mujoco_vector(body, start), np.asarray(skeleton.relaxed, float)
     low, high = np.asarray(skeleton.limits, float).T
-    pull = np.zeros((len(relaxed), model.nv))
+    pull = np.zeros((len(relaxed), size))
     pull[np.arange(len(relaxed)), body.velocities] = POSTURE
 
     def moved(step: np.ndarray) -> np.ndarray:
         there = q.copy()
-        mujoco.mj_integratePos(model, there, step, 1.0)
+        mujoco.mj_integratePos(body.model, there, step, 1.0)
         return there
 
     def follow(targets: np.ndarray) -> np.ndarray:
@@ -199,23 +222,30 @@ def by_scipy(skeleton: Skeleton, start: Pose, limits: bool) -> Follower:
 
         def slopes(step: np.ndarray) -> np.ndarray:
             points = mujoco_points(body, moved(step))[rows]
-            mujoco.mj_comPos(model, data)
-            J = np.zeros((len(ids), 3, model.nv))
-            for i, bone in enumerate(ids):
-                mujoco.mj_jac(model, data, J[i], None, points[i], bone)
-            return np.vstack([J.reshape(-1, model.nv), pull])
+            return np.vstack([mujoco_slopes(body, rows, points), pull])
 
-        bounds = np.full((2, model.nv), np.inf) * [[-1], [1]]
+        bounds = np.full((2, size), np.inf) * [[-1], [1]]
         if limits:
             angles = q[body.positions]
             bounds[:, body.velocities] = (np.minimum(low - angles, -1e-9), high - angles + 1e-9)
         solution = least_squares(
-            residuals, np.zeros(model.nv), slopes, bounds, method="trf", xtol=1e-4, ftol=1e-6
+            residuals, np.zeros(size), slopes, bounds, method="trf", xtol=1e-4, ftol=1e-6
         )
         q[:] = moved(solution.x)
         return mujoco_points(body, q)[rows]
 
     return follow
+
+
+def until_met(
+    targets: np.ndarray, here: Callable[[], np.ndarray], step: Callable[[], None]
+) -> np.ndarray:
+    """Points (5, 3) after as many steps as the farthest target wants, within a while."""
+    for _ in range(MOST_STEPS):
+        if np.linalg.norm(targets - here(), axis=1).max() < TOLERANCE_M:
+            break
+        step()
+    return here()
 
 
 def by_mink(skeleton: Skeleton, start: Pose, limits: bool) -> Follower:
@@ -230,18 +260,15 @@ def by_mink(skeleton: Skeleton, start: Pose, limits: bool) -> Follower:
     bounds = [mink.ConfigurationLimit(body.model)] if limits else []
     ids = [body.model.body(name).id for name in REACHING]
 
+    def step() -> None:
+        every = [*tasks, posture]
+        velocity = mink.solve_ik(configuration, every, 1.0, SOLVER, DAMPING, limits=bounds)
+        configuration.integrate_inplace(velocity, 1.0)
+
     def follow(targets: np.ndarray) -> np.ndarray:
         for task, target in zip(tasks, targets, strict=True):
             task.set_target(mink.SE3.from_translation(target))
-        for _ in range(MOST_STEPS):
-            points = configuration.data.xpos[ids]
-            if np.linalg.norm(targets - points, axis=1).max() < TOLERANCE_M:
-                break
-            velocity = mink.solve_ik(
-                configuration, [*tasks, posture], 1.0, SOLVER, DAMPING, limits=bounds
-            )
-            configuration.integrate_inplace(velocity, 1.0)
-        return configuration.data.xpos[ids]
+        return until_met(targets, lambda: configuration.data.xpos[ids], step)
 
     return follow
 
@@ -250,30 +277,27 @@ def by_pink(skeleton: Skeleton, start: Pose, limits: bool) -> Follower:
     """A quadratic programme for each step, by pink."""
     import pink
     import pinocchio as pin
-    from pink.limits import ConfigurationLimit
-    from pink.tasks import FrameTask, PostureTask
 
     body = PinocchioBody.of(skeleton)
     configuration = pink.Configuration(body.model, body.data, body.vector(start))
-    tasks = [FrameTask(name, 1.0, 0.0) for name in REACHING]
-    posture = PostureTask(POSTURE)
+    tasks = [pink.tasks.FrameTask(name, 1.0, 0.0) for name in REACHING]
+    posture = pink.tasks.PostureTask(POSTURE)
     posture.set_target(body.vector(relaxed_pose(skeleton)))
-    bounds = [ConfigurationLimit(body.model)] if limits else []
+    bounds = [pink.limits.ConfigurationLimit(body.model)] if limits else []
     frames = [body.model.getFrameId(name) for name in REACHING]
 
     def here() -> np.ndarray:
         return np.array([configuration.data.oMf[frame].translation for frame in frames])
 
+    def step() -> None:
+        velocity = pink.solve_ik(
+            configuration, [*tasks, posture], 1.0, SOLVER, DAMPING, bounds, safety_break=False
+        )
+        configuration.integrate_inplace(velocity, 1.0)
+
     def follow(targets: np.ndarray) -> np.ndarray:
         for task, target in zip(tasks, targets, strict=True):
             task.set_target(pin.SE3(np.eye(3), target))
-        for _ in range(MOST_STEPS):
-            if np.linalg.norm(targets - here(), axis=1).max() < TOLERANCE_M:
-                break
-            velocity = pink.solve_ik(
-                configuration, [*tasks, posture], 1.0, SOLVER, DAMPING, bounds, safety_break=False
-            )
-            configuration.integrate_inplace(velocity, 1.0)
-        return here()
+        return until_met(targets, here, step)
 
     return follow

@@ -17,7 +17,7 @@ import optimistix
 from scipy.optimize import minimize
 
 from bench.clock import interleaved, ratio
-from bench.metrics import OF_OTHERS, Metric, stage_metrics
+from bench.figures import OF_OTHERS, Metric, stage_metrics
 from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
 
 SIDE, POINTS, ARMS, HINGES = 160, 25, 2, 4

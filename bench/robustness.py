@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.command_line import command
-from bench.metrics import Metric, aligned, write_json
+from bench import command
+from bench.figures import Metric, aligned, write_json
 from bench.silhouette_faults import FAULTS, Faulty, Span, Truth, in_memory
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import LANDMARKS, with_joints
@@ -206,7 +206,6 @@ def parser() -> argparse.ArgumentParser:
     add = result.add_argument
     add("folders", nargs="+", type=Path, metavar="FOLDER", help="of a rendered exercise")
     add("--only", action="append", choices=tuple(FAULTS), help="this fault; may be repeated")
-    add("--json", metavar="FILE", help="write the metrics")
     return result
 
 
@@ -217,8 +216,7 @@ def main(arguments: Sequence[str] | None = None, settings: Settings | None = Non
     for folder in options.folders:
         outcomes += measured(folder, faults, settings or Settings())
     print(aligned([*HEADINGS, *(outcome.row() for outcome in outcomes)]))
-    if options.json:
-        write_json([metric for outcome in outcomes for metric in outcome.metrics()], options.json)
+    write_json([metric for outcome in outcomes for metric in outcome.metrics()], options.json)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a t
 """
 
 import argparse
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from time import perf_counter
@@ -19,10 +18,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from bench.clips import Clip, exercises
-from bench.command_line import add_rendered, command
-from bench.displaced import displaced
-from bench.metrics import Metric, aligned, write_json
+from bench import add_rendered, command, kept
+from bench.clips import Clip, displaced, exercises
+from bench.figures import Metric, aligned, write_json
 from jaxmocap.capture.footage import forward_readers
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.recordings.recording import Recording
@@ -320,15 +318,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     seconds = 1.0 if options.quick else options.seconds
     people, rows = Path(options.recordings) / "person" / "person.npz", {}
     keep_compiled()
-    with tempfile.TemporaryDirectory() as scratch:
-        keep = Path(options.keep or scratch)
+    with kept(options.keep) as keep:
         for who in options.people.split(","):
             for clip in exercises(people, names, options.seeds, [who], seconds, keep):
                 for name, scores in Case(clip, people, who, seconds).results().items():
                     rows.setdefault(name, []).extend(scores)
     print(text(rows))
-    if options.json:
-        write_json(list(metrics(rows)), options.json)
+    write_json(list(metrics(rows)), options.json)
 
 
 if __name__ == "__main__":

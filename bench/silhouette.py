@@ -14,19 +14,18 @@ OUTPUTS: tables, and Metrics as JSON.
 
 import argparse
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from bench.acceleration import AccelerationAndLag, compare_tracks
+from bench import add_rendered, command, kept
 from bench.clips import REAL_LANDMARKS, Clip, exercises
-from bench.command_line import add_rendered, command
-from bench.metrics import Metric, aligned, stage_metrics, table, write_json
+from bench.clock import STAGES, WHOLE_FRAME, stages_timed
+from bench.evaluation import AccelerationAndLag, compare_tracks
+from bench.figures import Metric, aligned, stage_metrics, table, write_json
 from bench.silhouette_faults import in_memory
-from bench.stages import STAGES, WHOLE_FRAME, stages_timed
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, WINTER, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
@@ -292,16 +291,15 @@ def main() -> None:
     """Render, track, compare, print."""
     options = parser().parse_args()
     keep_compiled()
-    with tempfile.TemporaryDirectory() as folder:
-        results, timed = measured(options, Path(options.keep or folder))
+    with kept(options.keep) as keep:
+        results, timed = measured(options, keep)
     rendered = [result for result in results if result.name != REAL]
     most = [r for r in rendered if r.cameras == max(options.cameras)]
     parts = [exercise_rows(most)] if rendered else []
     parts += [camera_rows(rendered)] if len(options.cameras) > 1 and rendered else []
     parts += [real_rows(result) for result in results if result.name == REAL]
     print("\n\n".join([*map(aligned, parts), table(timed)]))
-    if options.json:
-        write_json([*(m for result in results for m in metrics(result)), *timed], options.json)
+    write_json([*(m for result in results for m in metrics(result)), *timed], options.json)
 
 
 def measured(options: argparse.Namespace, keep: Path) -> tuple[list[Result], list[Metric]]:

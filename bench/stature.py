@@ -8,13 +8,12 @@ INPUTS: person.npz. OUTPUTS: mean position errors of joints, centimetres, a line
 Metrics.
 """
 
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
-from bench.command_line import command
-from bench.metrics import Metric, aligned, write_json
+from bench import command, kept
+from bench.figures import Metric, aligned, write_json
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.recordings.recording import Recording, write_recording
@@ -104,7 +103,6 @@ def main() -> None:
     parser.add_argument("--people", metavar="WHO,...", help="default: all")
     parser.add_argument("--seconds", type=float, default=3.0, help="default: 3")
     parser.add_argument("--keep", metavar="DIR", help="where rendered recordings stay")
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
     options = parser.parse_args()
     keep_compiled()
     with np.load(options.file) as arrays:
@@ -112,10 +110,10 @@ def main() -> None:
     people = options.people.split(",") if options.people else everybody
     rows = [["person", "exercise", *(f"{joint} cm" for joint in JOINTS)]]
     every = []
-    with tempfile.TemporaryDirectory() as scratch:
+    with kept(options.keep) as keep:
         for who in people:
             for i, name in enumerate(EXERCISES):
-                folder = Path(options.keep or scratch) / f"{who}_{name}"
+                folder = keep / f"{who}_{name}"
                 seed = 10 * everybody.index(who) + i
                 errors = measure(render(folder, options.file, who, name, seed, options.seconds))
                 every.append([100 * errors[joint] for joint in JOINTS])
@@ -123,9 +121,8 @@ def main() -> None:
     mean = np.mean(every, 0)
     rows.append([f"mean of {len(every)}", "", *(f"{error:.1f}" for error in mean)])
     print(aligned(rows))
-    if options.json:
-        metrics = [Metric(joint, error, "cm") for joint, error in zip(JOINTS, mean, strict=True)]
-        write_json(metrics, options.json)
+    metrics = [Metric(joint, error, "cm") for joint, error in zip(JOINTS, mean, strict=True)]
+    write_json(metrics, options.json)
 
 
 if __name__ == "__main__":

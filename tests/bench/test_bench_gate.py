@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from small_recording import small_recording
 
 from bench import gate
-from bench.footage import Footage, at_size
-from bench.image_chain import SIDE, image_chain
-from bench.metrics import OF_OTHERS, Metric, stage_metrics, table, write_json
+from bench.clips import Footage, at_size
+from bench.clock import SIDE, image_chain
+from bench.figures import OF_OTHERS, Metric, stage_metrics, table, write_json
 from jaxmocap.capture.video import open_video
 from jaxmocap.geometry.cameras import project
 

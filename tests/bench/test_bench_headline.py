@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench import __main__ as command
-from bench.footage import Footage
+from bench.clips import Footage
 from bench.headline import NAMES
 from bench.rival_detector import detector
 from jaxmocap.pipelines.demo import standing_recording

@@ -8,11 +8,9 @@ import pytest
 from small_recording import small_recording
 
 from bench import accuracy
-from bench.acceleration import AccelerationAndLag
 from bench.clips import REAL_LANDMARKS, Clip, real, synthetic
 from bench.criteria import covered, criteria
-from bench.evaluation import Result, Sureness, shaken, sureness_of
-from bench.wrong_turns import wrong_turns
+from bench.evaluation import AccelerationAndLag, Result, Sureness, shaken, sureness_of, wrong_turns
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.formats.time_series.markers import read_markers

@@ -5,7 +5,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from bench import rival_ik, rival_kinematics, rival_simplex, rivals
+from bench import rival_ik, rival_simplex, rivals
 from bench.gate import failures, read_baseline
 from jaxmocap.hybrid.settings import IKSettings
 
@@ -20,14 +20,14 @@ needs = {
 
 def test_everybodys_joints_are_where_ours_are(monkeypatch):
     """The measurement itself raises where they differ."""
-    monkeypatch.setattr(rival_kinematics, "POSES", 16)
+    monkeypatch.setattr(rivals, "POSES", 16)
     absent = {name for name in ("pinocchio",) if find_spec(name) is None}
-    names = [metric.name for metric in rival_kinematics.measure(True, absent)]
+    names = [metric.name for metric in rivals.kinematics(True, absent)]
     assert "kinematics_mujoco_over_ours" in names
     assert ("kinematics_pinocchio_over_ours" in names) == (not absent)
-    monkeypatch.setattr(rival_kinematics, "SAME_M", 1e-12)
+    monkeypatch.setattr(rivals, "SAME_M", 1e-12)
     with pytest.raises(RuntimeError, match="m from ours"):
-        list(rival_kinematics.measure(True, absent))
+        list(rivals.kinematics(True, absent))
 
 
 WAYS = {

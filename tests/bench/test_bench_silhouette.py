@@ -5,9 +5,9 @@ from time import sleep
 import numpy as np
 import pytest
 
-from bench.acceleration import AccelerationAndLag
+from bench.clock import REST, STAGES, WHOLE_FRAME, StageClock, stages_timed
+from bench.evaluation import AccelerationAndLag
 from bench.silhouette import Result, camera_rows, exercise_rows, metrics, real_rows
-from bench.stages import REST, STAGES, WHOLE_FRAME, StageClock, stages_timed
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.pipelines.silhouettes.demo import JOINTS
 from jaxmocap.silhouette import tracker

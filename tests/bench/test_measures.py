@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.acceleration import compare_tracks, lag, resampled_by_spline
-from bench.wrong_turns import wrong_turns
+from bench.evaluation import compare_tracks, lag, resampled_by_spline, wrong_turns
 from jaxmocap.evaluation.errors import interval_coverage
 from jaxmocap.evaluation.series import second_difference
 

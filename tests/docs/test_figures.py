@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 
 import jaxmocap
-from bench.figures import record
-from bench.metrics import Metric, write_json
+from bench.figures import Metric, record, write_json
 
 PACKAGE = Path(jaxmocap.__file__).parent
 PROJECT = PACKAGE.parent

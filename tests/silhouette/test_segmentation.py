@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.displaced import displaced
+from bench.clips import displaced
 from bench.segmentation import region_about_mask
 from jaxmocap.capture.photographs import read_empty_room
 from jaxmocap.images.background_model import Background, learn_background

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bench.displaced import displaced
+from bench.clips import displaced
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.synthetic.drawing_camera import DrawingCamera
