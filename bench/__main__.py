@@ -92,9 +92,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not options.all_cores:
         keep_to_one_core()
     # XLA counts the cores when it is loaded.
-    from bench.figures import table, write_json
+    from bench.figures import best, failures, read_baseline, table, write_json
     from bench.frame_rate import draw_stages
-    from bench.gate import best, failures, read_baseline
     from jaxmocap.pipelines.kept_programs import keep_compiled
 
     keep_compiled()

@@ -20,10 +20,10 @@ import numpy as np
 from bench import add_rendered, command, kept
 from bench.clips import REAL_LANDMARKS, Clip, exercises, real, synthetic
 from bench.figures import Metric, aligned, write_json
-from bench.silhouette import REAL
+from bench.silhouette import REAL, true_start
 from jaxmocap.body.motion import UNDETERMINED_M, Motion
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.evaluation.errors import Errors, interval_coverage
 from jaxmocap.evaluation.motions import evaluate
@@ -34,7 +34,6 @@ from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
 from jaxmocap.pipelines.silhouettes.track import track_silhouettes
 from jaxmocap.pipelines.tracking.track import track
-from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.synthetic.movements.motions import MOTIONS
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
@@ -82,10 +81,8 @@ def rendered(
     for who in options.people.split(","):
         skeleton = Skeleton.human(rest_height(load_rig(file, who)))
         for clip in exercises(file, EXERCISES, options.seeds, [who], options.seconds, keep):
-            truth, nothing = read_trc(clip.truth).points(), np.full(3, np.nan)
-            first = np.array([truth[name][0] if name in truth else nothing for name in LANDMARKS])
             recording = replace(Recording.load(clip.path), skeleton=skeleton)
-            yield clip, recording, pose_at_landmarks(with_joints(skeleton, Settings.body), first)
+            yield clip, recording, true_start(skeleton, read_trc(clip.truth).points())
 
 
 def _errors(clip: Clip, motion: Motion) -> Errors:

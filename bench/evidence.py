@@ -14,18 +14,20 @@ OUTPUTS: a table of the elbows' distances from the truth, and Metrics as JSON.
 import argparse
 import json
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from bench import command, kept, seeds
 from bench.clips import Clip, real, synthetic
 from bench.figures import Metric, aligned, write_json
-from bench.flattening import flattened
+from jaxmocap.body.model import Model, marker_sites
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.keypoints import open_keypoints
@@ -33,6 +35,7 @@ from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evidence.appearance.learned import ROWS, Drawing, learn_appearance
 from jaxmocap.evidence.edges import EdgeEvidence
 from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
 from jaxmocap.formats.recordings.recording import Recording
@@ -41,19 +44,86 @@ from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.hybrid.paper.chamfer import Chamfer
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.images.background_model import Background, exposure, regained, spread
+from jaxmocap.images.foreground import shrink
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned
 from jaxmocap.pipelines.tracking.motions import Tracked, motions, unsmoothed
 from jaxmocap.pipelines.tracking.track import lines_at_events, make_tracker, track
-from jaxmocap.smoothing.batch import smooth_recording
+from jaxmocap.smoothing.batch import CameraFrames, smooth_recording
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
 
+# Differences, in deviations of the sensor's noise, from which a pixel begins to differ, and does.
+ALIKE, DIFFERENT = 2.0, 5.0
+# Pixels of the shrunk images by which the background is blurred, and the difference.
+FLAT_PX, SOFT_PX = 12.0, 1.5
 AZIMUTHS, SECONDS = (0.0, -60.0, 60.0, -30.0, 30.0), 6.0
 # Of key points made from the truth: pixels; how many are false, how far off; their confidences.
 MODEL, NOISE_PX, FALSE, ASTRAY_PX = "BODY_25B", 3.0, 0.05, 150.0
 SURE, UNSURE = (0.6, 1.0), (0.2, 0.8)
+
+
+def flattened(
+    recording: Recording, videos: Sequence[FrameSource], first_pass: FirstPass
+) -> Recording:
+    """The recording with videos whose backgrounds are flat; one that tells none is left as it is.
+
+    Args:
+        recording: to be tracked again.
+        videos: its own.
+        first_pass: whose poses tell where the person covers the background.
+    """
+    sources = []
+    for camera, (source, video) in enumerate(zip(recording.videos, videos, strict=True)):
+        background = learned(recording, source.camera, camera, video, first_pass)
+        if background is not None:
+            frames = video.times, list(_flat_frames(video, background))
+            source = replace(source, path=None, frames=frames, offset=0.0)
+        sources.append(source)
+    return replace(recording, videos=tuple(sources))
+
+
+def learned(
+    recording: Recording, lens: Camera, camera: int, video: FrameSource, first_pass: FirstPass
+) -> Background | None:
+    """What a camera sees without the person, in its shrunk frames; as the second pass learns it."""
+    column = first_pass.frame_index[:, camera]
+    events = np.flatnonzero(column >= 0)
+    if not len(events):
+        return None
+    own, chosen = CameraFrames(camera, events, column[events], video), spread(len(events))
+    poses = jax.tree.map(lambda part: np.asarray(part)[events], first_pass.poses)
+    drawing = Drawing.of(recording.skeleton, lens, video.size, poses)
+    sites = marker_sites(recording.skeleton, recording.places)
+    feet_astray = Model.create(recording.skeleton, sites).no_foot_is_marked
+    appearance = learn_appearance(drawing, chosen, own.images(chosen), feet_astray)
+    return None if appearance is None else appearance.background
+
+
+def _flat_frames(video: FrameSource, background: Background) -> Iterator[np.ndarray | None]:
+    """Grey (H, W) uint8."""
+    for _, image in video.frames():
+        yield None if image is None else flat_frame(image, background)
+
+
+def flat_frame(image: np.ndarray, background: Background) -> np.ndarray:
+    """One frame (H, W, 3) uint8, grey, before its background (h, w) made flat."""
+    small = shrink(image, ROWS)
+    gains, agreement = exposure(small, background)
+    away = (
+        np.abs(regained(small, gains).astype(np.float32) - background.colour).max(-1)
+        / background.noise
+    )
+    differs = np.clip((away - ALIKE) / (DIFFERENT - ALIKE), 0, 1)
+    # Where the background was not learned, or this is not that room, nothing is alike.
+    share = 1 - agreement * background.certainty * (1 - differs)
+    size, grey = image.shape[1::-1], cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    share = cv2.resize(cv2.GaussianBlur(share, (0, 0), SOFT_PX), size)
+    flat = cv2.cvtColor(cv2.GaussianBlur(background.colour, (0, 0), FLAT_PX), cv2.COLOR_BGR2GRAY)
+    mixed = share * grey + (1 - share) * cv2.resize(flat, size)
+    return np.rint(mixed).astype(np.uint8)
 
 
 class Kind(NamedTuple):
@@ -152,15 +222,11 @@ def measure(clip: Clip, quick: bool, folder: Path) -> Iterator[tuple[str, np.nda
     if not quick:
         before = flattened(recording, own.videos, own.first_pass)
         yield BEFORE, errors(track(before, replace(Settings(), smooth=False)))
+    has_points = any(source.keypoints is not None for source in recording.videos)
     for name, kind in OVER_TIME.items():
-        if (quick and name not in QUICK) or (kind.points and not has_keypoints(recording)):
+        if (quick and name not in QUICK) or (kind.points and not has_points):
             continue
         yield name, errors(own.smoothed(kind))
-
-
-def has_keypoints(recording: Recording) -> bool:
-    """Whether any video comes with some."""
-    return any(source.keypoints is not None for source in recording.videos)
 
 
 def with_keypoints(clip: Clip, folder: Path) -> Recording:
@@ -205,13 +271,10 @@ def write_keypoints(folder: Path, clip: Clip, camera: Camera, times: np.ndarray)
         (folder / name).write_text(json.dumps({"people": [person]}))
 
 
-def spread(distances: np.ndarray) -> list[float]:
+def centimetres(distances: np.ndarray) -> list[float]:
     """Mean, median and 95th percentile over both elbows, centimetres."""
-    centimetres = 100 * distances[np.isfinite(distances)]
-    return [
-        float(v)
-        for v in (centimetres.mean(), np.median(centimetres), np.percentile(centimetres, 95))
-    ]
+    finite = 100 * distances[np.isfinite(distances)]
+    return [float(v) for v in (finite.mean(), np.median(finite), np.percentile(finite, 95))]
 
 
 def table(distances: dict[str, dict[str, np.ndarray]]) -> str:
@@ -222,7 +285,7 @@ def table(distances: dict[str, dict[str, np.ndarray]]) -> str:
     """
     rows = [["", "mean", "median", "95 %", *distances]]
     for kind in next(iter(distances.values())):
-        each = [spread(kinds[kind]) for kinds in distances.values() if kind in kinds]
+        each = [centimetres(kinds[kind]) for kinds in distances.values() if kind in kinds]
         cells = [*np.mean(each, 0), *(values[0] for values in each)]
         rows.append([kind, *(f"{value:.1f}" for value in cells)])
     return aligned(rows)
@@ -252,19 +315,15 @@ def measure_all(
     return result
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    command_line = command("bench.evidence", __doc__)
-    add = command_line.add_argument
+def main() -> None:
+    """Track, compare, print."""
+    parser = command("bench.evidence", __doc__)
+    add = parser.add_argument
     add("recordings", nargs="?", help="folder of the real recordings")
     add("--seeds", type=seeds, default=seeds("0-2"), metavar="0-2", help="of table tennis")
     add("--keep", metavar="DIR", help="keep synthetic recordings here, rendered once")
     add("--quick", action="store_true", help="half a second of one seed, few kinds of evidence")
-    return command_line
-
-
-def main(arguments: list[str] | None = None) -> None:
-    options = parser().parse_args(arguments)
+    options = parser.parse_args()
     keep_compiled()
     with kept(options.keep) as keep, progress_bar("measuring", True) as show:
         clips = chosen_clips(options, keep)
@@ -274,7 +333,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"\n{group}\n{table(of_group)}")
     write_json(
         (
-            Metric(f"{name}, {kind}", spread(distances)[0], "cm", tolerance=0.05)
+            Metric(f"{name}, {kind}", centimetres(distances)[0], "cm", tolerance=0.05)
             for of_group in measured.values()
             for name, kinds in of_group.items()
             for kind, distances in kinds.items()

@@ -1,21 +1,29 @@
-"""Figures that a benchmark reports, as a table and as JSON, and those that pages cite.
+"""Figures that a benchmark reports; the baseline they are held against; those that pages cite.
+
+Milliseconds depend on the machine; a ratio of two times that were taken in turn hardly does. So
+only ratios (unit "x") are held against ``baseline.json``, each to its own tolerance. How far they
+scatter, and new values to commit:
+
+    for i in 1 2 3 4 5; do python -m bench --quick --json run$i.json; done
+    python -m bench.figures baseline quick run*.json          # the spread
+    python -m bench.figures baseline quick run*.json --write  # medians to baseline.json
 
 What some commands measured is kept in ``figures.json``, each with its command and day:
 
     python -m bench.paper --json found.json
-    python -m bench.figures paper found.json --command "python -m bench.paper"
+    python -m bench.figures cite paper found.json --command "python -m bench.paper"
 
 A page links to ``bench/figures.json#paper/bare``: the group, and the beginning of the figures'
 names as ``slug`` writes them. ``tests/docs/test_figures.py`` compares the link's text with them.
 
 INPUTS: numbers; what ``--json`` of a benchmark or of a command of jaxmocap wrote.
-OUTPUTS: Metrics; text; {"metrics": [...]}; ``figures.json`` with that run's figures.
+OUTPUTS: Metrics; text; {"metrics": [...]}; sentences on what is worse; both files.
 """
 
 import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import date
 from pathlib import Path
 from typing import Any, Literal
@@ -29,6 +37,9 @@ MEDIAN, LATE = ", median", ", 99 %"
 # unchanged code by 143 % at most so far. So it fails only where ours has become 2.5 times as slow.
 OF_OTHERS = 1.5
 FIGURES = Path(__file__).with_name("figures.json")
+BASELINE = Path(__file__).with_name("baseline.json")
+RATIO = "x"
+Mode = Literal["quick", "full"]
 TIMES = ("s", "ms", "1/s")
 
 
@@ -147,9 +158,93 @@ def record(
     path.write_text(text + "\n", encoding="utf-8")
 
 
+def read_baseline(mode: Mode, path: Path = BASELINE) -> list[Metric]:
+    """The committed ratios of quick or of full runs."""
+    return [Metric(**entry) for entry in json.loads(path.read_text(encoding="utf-8"))[mode]]
+
+
+def worsening(measured: Metric, committed: Metric) -> float:
+    """By what share a figure is worse than the committed one; negative where it is better."""
+    better, worse = (committed.value, measured.value)
+    if committed.direction == "higher":
+        better, worse = worse, better
+    return worse / better - 1
+
+
+def failures(
+    measured: Iterable[Metric], baseline: Iterable[Metric], skipped: Sequence[str] = ()
+) -> list[str]:
+    """What keeps a run from passing: a sentence for each ratio that is worse, or missing.
+
+    Args:
+        measured: in the run.
+        baseline: committed.
+        skipped: parts of the names of ratios that may be missing, such as rivals not installed.
+    """
+    by_name = {metric.name: metric for metric in measured}
+    sentences = []
+    for committed in baseline:
+        metric = by_name.get(committed.name)
+        if metric is None:
+            if not any(rival in committed.name for rival in skipped):
+                sentences.append(f"{committed.name}: not measured, expected {committed.value:.3g}")
+        elif (change := worsening(metric, committed)) > committed.tolerance:
+            sentences.append(
+                f"{committed.name}: {metric.value:.3g}, {change:.0%} worse than the baseline's "
+                f"{committed.value:.3g}; {committed.tolerance:.0%} may be chance"
+            )
+    return sentences
+
+
+def best(runs: Sequence[Iterable[Metric]]) -> list[Metric]:
+    """Each figure of several runs at its best: interruptions only ever make one worse."""
+    kept: dict[str, Metric] = {}
+    for metric in (metric for run in runs for metric in run):
+        other = kept.setdefault(metric.name, metric)
+        if worsening(metric, other) < 0:
+            kept[metric.name] = metric
+    return list(kept.values())
+
+
+def medians(runs: Sequence[Iterable[Metric]]) -> list[Metric]:
+    """Each ratio that all runs have, with its median."""
+    by_name = [{m.name: m for m in run if m.unit == RATIO} for run in runs]
+    return [
+        replace(metric, value=round(float(np.median([run[name].value for run in by_name])), 4))
+        for name, metric in by_name[0].items()
+        if all(name in run for run in by_name)
+    ]
+
+
+def spread(runs: Sequence[Iterable[Metric]]) -> str:
+    """How far each ratio scatters over the runs: a table."""
+    kept = [list(run) for run in runs]
+    rows = [["ratio", "median", "least", "most", "farthest, %", "tolerance, %"]]
+    for middle in medians(kept):
+        values = [metric.value for run in kept for metric in run if metric.name == middle.name]
+        off = max(worsening(replace(middle, value=value), middle) for value in values)
+        figures = [f"{v:.3g}" for v in (middle.value, min(values), max(values))]
+        rows.append([middle.name, *figures, f"{100 * off:.0f}", f"{100 * middle.tolerance:.0f}"])
+    return aligned(rows)
+
+
+def write_baseline(mode: Mode, metrics: Iterable[Metric], path: Path = BASELINE) -> None:
+    """Put a mode's ratios into the file, and leave the other's."""
+    kept = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    kept[mode] = [asdict(metric) for metric in metrics if metric.unit == RATIO]
+    path.write_text(json.dumps(kept, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
+    """Hold runs against one another, or keep a run's figures."""
     parser = command("bench.figures", __doc__, metrics=False)
-    add = parser.add_argument
+    ways = parser.add_subparsers(dest="way", required=True)
+    add = ways.add_parser("baseline", help="how far ratios scatter; new medians").add_argument
+    add("mode", choices=("quick", "full"))
+    add("runs", nargs="+", metavar="RUN.json")
+    add("--write", action="store_true", help="medians to the baseline")
+    add("--file", type=Path, default=BASELINE)
+    add = ways.add_parser("cite", help="put a run's figures into figures.json").add_argument
     add("group", help="of figures.json")
     add("run", type=Path, metavar="RUN.json", help="what the command's --json wrote")
     add("--command", required=True, metavar="LINE", help="that wrote it, paths as RECORDINGS")
@@ -157,9 +252,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add("--times", action="store_true", help="times too; only where nothing else was running")
     add("--file", type=Path, default=FIGURES)
     options = parser.parse_args(arguments)
-    run = json.loads(options.run.read_text(encoding="utf-8"))
-    only = options.only.split(",")
-    record(options.group, run, options.command, only, options.times, options.file)
+    if options.way == "cite":
+        run = json.loads(options.run.read_text(encoding="utf-8"))
+        only = options.only.split(",")
+        record(options.group, run, options.command, only, options.times, options.file)
+        return
+    runs = [read_json(path) for path in options.runs]
+    print(spread(runs))
+    if options.write:
+        write_baseline(options.mode, medians(runs), options.file)
 
 
 if __name__ == "__main__":

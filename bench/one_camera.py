@@ -3,8 +3,10 @@
 The real recording by each of its cameras, rendered exercises by the first two of theirs, and
 rendered squats: nothing but the video, MediaPipe's key points, the calibration, and of rendered
 people the stature. Errors of shoulders, elbows, wrists, hips, knees and ankles: in the world, and
-with the hips' middles laid over one another. Beside them those of MediaPipe's own joints, laid over
-the truth's hips and turned by the true camera, which nobody has.
+with the hips' middles laid over one another. Beside them those of MediaPipe's own joints, which are
+in metres about the hips, in no world: laid over the truth's hips and turned by the true camera,
+which nobody has; and of its elbows where each frame's joints are moved, turned and scaled to lie
+nearest to the true ones. ``--detector-only`` leaves our own out.
 
 INPUTS: the folder of recordings; an environment with ``mediapipe``.
 OUTPUTS: a table; Metrics as JSON.
@@ -39,10 +41,16 @@ NUMBERS = {
     }.items()
     for side in "lr"
 }  # fmt: skip
-HIPS = [list(NUMBERS).index(name) for name in ("hip_l", "hip_r")]
-# The camera of rendered squats, degrees from frontal, seed by seed.
+HIPS, ELBOWS = (
+    [list(NUMBERS).index(f"{name}_{side}") for side in "lr"] for name in ("hip", "elbow")
+)
+# By these each frame's joints are laid upon the true ones.
+LAID = [row for row, name in enumerate(NUMBERS) if "ankle" not in name]
+# The camera of rendered squats and table tennis, degrees from frontal, seed by seed.
 AZIMUTHS = (0.0, -60.0, 60.0, -30.0, 30.0)
-KINDS = ("walking", "arm_raises", "squat", "balancing")
+KINDS, DETECTED = ("walking", "arm_raises", "squat", "balancing"), "tennis"
+# A truth that is farther off in time than that is not a frame's, seconds.
+NEAR_S = 0.02
 
 
 def errors(points: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
@@ -52,43 +60,70 @@ def errors(points: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
     return float(100 * np.nanmean(off[0])), float(100 * np.nanmean(off[1]))
 
 
-def tracked(clip: Clip, camera: str, python: str, passes: int) -> Iterator[Metric]:
+def tracked(clip: Clip, camera: str, options: argparse.Namespace) -> Iterator[Metric]:
     """What one camera of a recording shows."""
-    recording = Recording.load(clip.path)
+    recording, name = Recording.load(clip.path), f"{clip.group}, {clip.name}, {camera}"
     (source,) = (video for video in recording.videos if video.camera_name == camera)
+    if not options.detector_only:
+        yield from ours(clip, recording, source, options, name)
+    yield from detectors_own(clip, source, options.detector_python, name)
+
+
+def ours(
+    clip: Clip, recording: Recording, source: VideoSource, options: argparse.Namespace, name: str
+) -> Iterator[Metric]:
+    """By the detector's key points and one video alone."""
     with tempfile.TemporaryDirectory() as folder:
         # Without its markers: who it is and where follows from the key points.
         none = recording.positions_world[:, :0]
         alone = replace(recording, videos=(source,), places=(), positions_world=none)
-        (found,) = detect_keypoints(alone, mediapipe_detector(python), Path(folder))
-        source = replace(source, keypoints=found.file)
-        motion = track_silhouettes(replace(alone, videos=(source,)), passes=passes).motion
+        detector = mediapipe_detector(options.detector_python)
+        (found,) = detect_keypoints(alone, detector, Path(folder))
+        seen = replace(alone, videos=(replace(source, keypoints=found.file),))
+        motion = track_silhouettes(seen, passes=options.passes).motion
     joints, truth = motion.joints(), _truth(clip, motion.times)
-    ours = errors(np.stack([joints[name] for name in NUMBERS], 1), truth)
-    name = f"{clip.group}, {clip.name}, {camera}"
-    yield Metric(f"{name}, world", ours[0], "cm")
-    yield Metric(f"{name}, about the hips", ours[1], "cm")
+    off = errors(np.stack([joints[each] for each in NUMBERS], 1), truth)
+    yield Metric(f"{name}, world", off[0], "cm")
+    yield Metric(f"{name}, about the hips", off[1], "cm")
     assert motion.report is not None
     lost = [any(s.startswith(LOST) for s in each) for each in motion.report.statuses]
     yield Metric(f"{name}, lost frames", 100 * float(np.mean(lost)), "%")
-    yield Metric(f"{name}, MediaPipe about the hips", _detectors_own(clip, source, python), "cm")
 
 
-def _detectors_own(clip: Clip, source: VideoSource, python: str) -> float:
-    """Error of MediaPipe's own joints about the hips, centimetres."""
+def detectors_own(clip: Clip, source: VideoSource, python: str, name: str) -> Iterator[Metric]:
+    """Errors of MediaPipe's own joints."""
     assert source.path is not None
     found = joints_found(python, source.path)[:, list(NUMBERS.values())]
-    times = open_video(source).times[: len(found)]
+    truth = _truth(clip, open_video(source).times[: len(found)])
     in_world = found @ np.asarray(source.camera.T_cam_world, float)[:3, :3]
-    return errors(in_world, _truth(clip, times))[1]
+    yield Metric(f"{name}, MediaPipe about the hips", errors(in_world, truth)[1], "cm")
+    both = np.isfinite(found[:, LAID]).all((1, 2)) & np.isfinite(truth[:, LAID]).all((1, 2))
+    off = [
+        np.linalg.norm((laid_upon(own[LAID], true[LAID]) - true[LAID])[ELBOWS], axis=-1)
+        for own, true in zip(found[both], truth[both], strict=True)
+    ]
+    yield Metric(f"{name}, MediaPipe's elbows laid upon the truth", 100 * float(np.mean(off)), "cm")
+    yield Metric(f"{name}, frames with MediaPipe's joints", 100 * float(both.mean()), "%", "higher")
+
+
+def laid_upon(joints: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Joints (J, 3) moved, turned and scaled to lie nearest to true ones (J, 3)."""
+    centre, there = joints.mean(0), truth.mean(0)
+    a, b = joints - centre, truth - there
+    U, S, Vt = np.linalg.svd(a.T @ b)
+    mirrored = np.sign(np.linalg.det(U @ Vt))
+    S[-1] *= mirrored
+    U[:, -1] *= mirrored
+    return there + S.sum() / np.sum(a**2) * (a @ U @ Vt)
 
 
 def _truth(clip: Clip, times: np.ndarray) -> np.ndarray:
-    """(F, J, 3) true joints, metres, at the sample nearest to each time."""
+    """(F, J, 3) true joints, metres, at the sample nearest to each time; NaN where none is near."""
     truth = read_trc(clip.truth)
-    nearest = np.abs(truth.times[None] - times[:, None]).argmin(1)
-    points = truth.points()
-    return np.stack([points[clip.landmarks[name]][nearest] for name in NUMBERS], 1)
+    nearest, points = np.abs(truth.times[None] - times[:, None]).argmin(1), truth.points()
+    near = np.abs(truth.times[nearest] - times) < NEAR_S
+    joints = np.stack([points[clip.landmarks[name]][nearest] for name in NUMBERS], 1)
+    return np.where(near[:, None, None], joints, np.nan)
 
 
 def clips(options: argparse.Namespace, keep: Path) -> Iterator[tuple[Clip, str]]:
@@ -99,17 +134,14 @@ def clips(options: argparse.Namespace, keep: Path) -> Iterator[tuple[Clip, str]]
             yield clip, clip.name
     people = options.people.split(",")
     file = folder / "person" / "person.npz"
+    meshes = [kind for kind in kinds if kind in KINDS[:2]]
     for seed, who in zip(options.seeds, people, strict=False):
-        for clip in exercises(file, kinds_of(kinds), [seed], [who], options.seconds, keep):
+        for clip in exercises(file, meshes, [seed], [who], options.seconds, keep):
             yield from ((clip, f"cam_{number}") for number in range(1, options.cameras + 1))
-    if "squat" in kinds:
-        for clip in synthetic("squat", options.seeds, AZIMUTHS, options.squat_seconds, keep):
-            yield clip, "webcam"
-
-
-def kinds_of(kinds: list[str]) -> list[str]:
-    """Those that the rigged meshes do."""
-    return [kind for kind in kinds if kind in ("walking", "arm_raises")]
+    for kind, seconds in (("squat", options.squat_seconds), (DETECTED, options.seconds)):
+        if kind in kinds:
+            for clip in synthetic(kind, options.seeds, AZIMUTHS, seconds, keep):
+                yield clip, "webcam"
 
 
 def main() -> None:
@@ -118,7 +150,8 @@ def main() -> None:
     add = parser.add_argument
     add("recordings", help="folder of the real recording and of the rigged meshes")
     add("--detector-python", required=True, help="of an environment with MediaPipe")
-    add("--only", default=",".join(KINDS), help="default: %(default)s")
+    add("--only", default=",".join(KINDS), help=f"default: %(default)s; also {DETECTED}")
+    add("--detector-only", action="store_true", help="MediaPipe's own joints alone")
     add("--passes", type=int, default=3, help="default: %(default)s")
     add("--cameras", type=int, default=2, help="of each rendered exercise; default: %(default)s")
     add("--squat-seconds", type=float, default=6.0, help="of rendered squats; default: 6")
@@ -128,10 +161,12 @@ def main() -> None:
     rows: list[Metric] = []
     with kept(options.keep) as keep:
         for clip, camera in clips(options, keep):
-            rows += tracked(clip, camera, options.detector_python, options.passes)
-            print(table(rows[-4:]), flush=True)
-    print(table(rows + means(rows)))
-    write_json(rows + means(rows), options.json)
+            own = list(tracked(clip, camera, options))
+            print(table(own), flush=True)
+            rows += own
+    rows += means(rows)
+    print(table(rows))
+    write_json(rows, options.json)
 
 
 def means(rows: list[Metric]) -> list[Metric]:

@@ -19,16 +19,15 @@ import numpy as np
 
 from bench import command
 from bench.figures import Metric, aligned, write_json
+from bench.silhouette import true_start
 from bench.silhouette_faults import FAULTS, Faulty, Span, Truth, in_memory
 from jaxmocap.body.motion import Motion
-from jaxmocap.body.skeleton import LANDMARKS, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.cli.recording_options import select_cameras
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.silhouettes.track import track_silhouettes
-from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
 
 JOINTS = tuple(
@@ -128,12 +127,8 @@ def loaded(folder: Path) -> tuple[Recording, Truth]:
 
 def tracked(recording: Recording, truth: Truth, settings: Settings) -> Motion:
     """The motion that silhouettes tell, from the true place of the first frame."""
-    first = np.array([truth[n][0] if n in truth else np.full(3, np.nan) for n in LANDMARKS])
-    return track_silhouettes(
-        recording,
-        pose_at_landmarks(with_joints(recording.skeleton, settings.body), first),
-        settings,
-    ).motion
+    start = true_start(recording.skeleton, truth, settings)
+    return track_silhouettes(recording, start, settings).motion
 
 
 def errors(motion: Motion, truth: Truth) -> np.ndarray:

@@ -14,7 +14,7 @@ OUTPUTS: tables, and Metrics as JSON.
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,7 +27,7 @@ from bench.evaluation import AccelerationAndLag, compare_tracks
 from bench.figures import Metric, aligned, stage_metrics, table, write_json
 from bench.silhouette_faults import in_memory
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, WINTER, with_joints
+from jaxmocap.body.skeleton import LANDMARKS, WINTER, Skeleton, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.cli.silhouette.track import add_settings, settings_of
@@ -105,9 +105,17 @@ def prepared(
         skeleton=scale_to_landmarks(recording.skeleton, truth),
         videos=tuple(thinned(video, every) for video in recording.videos[:cameras]),
     )
+    return recording, true_start(recording.skeleton, truth, settings)
+
+
+def true_start(
+    skeleton: Skeleton, truth: Mapping[str, np.ndarray], settings: Settings | None = None
+) -> Pose:
+    """The pose at a truth's first landmarks, of a body whose joints the tracker moves."""
     missing = np.full(3, np.nan)
     first = np.array([truth[name][0] if name in truth else missing for name in LANDMARKS])
-    return recording, pose_at_landmarks(with_joints(recording.skeleton, settings.body), first)
+    body = Settings.body if settings is None else settings.body
+    return pose_at_landmarks(with_joints(skeleton, body), first)
 
 
 def thinned(video: VideoSource, every: int) -> VideoSource:

@@ -10,7 +10,7 @@ from small_recording import CAMERA, small_recording
 
 from bench import evidence
 from bench.clips import Clip
-from bench.flattening import flat_frame, flattened
+from bench.evidence import flat_frame, flattened
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.formats.recordings.keypoints import read_keypoints

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_recording import small_recording
 
-from bench import gate
+from bench import figures
 from bench.clips import Footage, at_size
 from bench.clock import SIDE, image_chain
 from bench.figures import OF_OTHERS, Metric, stage_metrics, table, write_json
@@ -32,23 +32,23 @@ def with_value(metric: Metric, value: float) -> Metric:
     ("committed", "within", "beyond"), [(SLOWER, 2.49, 2.51), (FASTER, 40.1, 39.9)]
 )
 def test_only_what_is_worse_by_more_than_its_tolerance_fails(committed, within, beyond):
-    assert gate.failures([with_value(committed, within)], [committed]) == []
-    (message,) = gate.failures([with_value(committed, beyond)], [committed])
+    assert figures.failures([with_value(committed, within)], [committed]) == []
+    (message,) = figures.failures([with_value(committed, beyond)], [committed])
     assert message.startswith(committed.name) and f"{beyond:.3g}" in message and "25%" in message
 
 
 @given(positive, st.sampled_from([SLOWER, FASTER]))
 def test_what_is_better_never_fails(factor, committed):
     better = committed.value * (1 + factor if committed.direction == "higher" else 1 / (1 + factor))
-    assert gate.worsening(with_value(committed, better), committed) < 0
-    assert gate.failures([with_value(committed, better)], [committed]) == []
+    assert figures.worsening(with_value(committed, better), committed) < 0
+    assert figures.failures([with_value(committed, better)], [committed]) == []
 
 
 def test_a_ratio_that_was_not_measured_fails_unless_its_rival_is_missing():
     rival = Metric("ik_mink_over_ours", 3.0, "x", "higher")
-    (message,) = gate.failures([SLOWER], [SLOWER, rival])
+    (message,) = figures.failures([SLOWER], [SLOWER, rival])
     assert "ik_mink_over_ours: not measured" in message
-    assert gate.failures([SLOWER], [SLOWER, rival], skipped=["mink"]) == []
+    assert figures.failures([SLOWER], [SLOWER, rival], skipped=["mink"]) == []
 
 
 def test_a_ratio_fails_where_it_is_worse_in_each_of_several_runs():
@@ -56,26 +56,28 @@ def test_a_ratio_fails_where_it_is_worse_in_each_of_several_runs():
         [with_value(SLOWER, 9.0), with_value(FASTER, 10.0)],
         [with_value(SLOWER, 2.0), with_value(FASTER, 12.0)],
     ]
-    assert gate.best(runs) == [with_value(SLOWER, 2.0), with_value(FASTER, 12.0)]
-    (message,) = gate.failures(gate.best(runs), [SLOWER, FASTER])
+    assert figures.best(runs) == [with_value(SLOWER, 2.0), with_value(FASTER, 12.0)]
+    (message,) = figures.failures(figures.best(runs), [SLOWER, FASTER])
     assert message.startswith(f"{FASTER.name}: 12")
 
 
 def test_the_baseline_keeps_ratios_only_and_each_mode_by_itself(tmp_path):
     path = tmp_path / "baseline.json"
-    gate.write_baseline("quick", [SLOWER, Metric("step", 3.0, "ms")], path)
-    gate.write_baseline("full", [FASTER], path)
-    assert gate.read_baseline("quick", path) == [SLOWER]
-    assert gate.read_baseline("full", path) == [FASTER]
+    figures.write_baseline("quick", [SLOWER, Metric("step", 3.0, "ms")], path)
+    figures.write_baseline("full", [FASTER], path)
+    assert figures.read_baseline("quick", path) == [SLOWER]
+    assert figures.read_baseline("full", path) == [FASTER]
 
 
 @pytest.mark.parametrize("mode", ["quick", "full"])
 def test_the_committed_baseline_holds_ratios_with_room_for_chance(mode):
-    committed = gate.read_baseline(mode)
+    committed = figures.read_baseline(mode)
     names = [metric.name for metric in committed]
     assert len(set(names)) == len(names) and "step_over_image_chain" in names
     for metric in committed:
-        assert metric.unit == gate.RATIO and metric.value > 0 and 0 < metric.tolerance <= OF_OTHERS
+        assert (
+            metric.unit == figures.RATIO and metric.value > 0 and 0 < metric.tolerance <= OF_OTHERS
+        )
         assert metric.direction in ("lower", "higher")
 
 
@@ -84,10 +86,10 @@ def test_spread_tells_how_far_runs_scatter_and_writes_their_medians(tmp_path, ca
     for i, value in enumerate((2.0, 2.2, 1.9)):
         write_json([with_value(SLOWER, value), Metric("step", value, "ms")], tmp_path / f"{i}.json")
     runs = [str(tmp_path / f"{i}.json") for i in range(3)]
-    gate.main([*runs, "--mode", "quick", "--write", "--baseline", str(baseline)])
+    figures.main(["baseline", "quick", *runs, "--write", "--file", str(baseline)])
     row = capsys.readouterr().out.splitlines()[1].split()
     assert row == ["step_over_chain", "2", "1.9", "2.2", "10", "25"]
-    assert gate.read_baseline("quick", baseline) == [SLOWER]
+    assert figures.read_baseline("quick", baseline) == [SLOWER]
 
 
 # Figures -----------------------------------------------------------------------------------------

@@ -8,8 +8,8 @@ import pytest
 from small_recording import small_recording
 
 from bench import accuracy
+from bench.accuracy import covered, criteria
 from bench.clips import REAL_LANDMARKS, Clip, real, synthetic
-from bench.criteria import covered, criteria
 from bench.evaluation import AccelerationAndLag, Result, Sureness, shaken, sureness_of, wrong_turns
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.evaluation.errors import Errors

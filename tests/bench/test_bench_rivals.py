@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench import rival_ik, rival_simplex, rivals
-from bench.gate import failures, read_baseline
+from bench.figures import failures, read_baseline
 from jaxmocap.hybrid.settings import IKSettings
 
 STEPS = 12

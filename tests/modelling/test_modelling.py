@@ -10,7 +10,7 @@ from photograph_masks import true_person_mask
 from scipy.interpolate import BSpline
 from scipy.spatial import Delaunay
 
-from bench.anthropometry import MeasuredPerson, tape_measure
+from bench.modelling import MeasuredPerson, tape_measure
 from jaxmocap.geometry.cameras import project
 from jaxmocap.silhouette.modelling.arm_joints import evenly_spaced, turning_angles
 from jaxmocap.silhouette.modelling.arm_surface import INNER_RINGS, SLICES

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from photograph_masks import true_person_mask
 
-from bench.anthropometry import MeasuredPerson, tape_measure
+from bench.modelling import MeasuredPerson, tape_measure
 from jaxmocap.formats.cameras.calibration import read_calibration
 from jaxmocap.silhouette.modelling.pictures.backdrop import PhotographError, person_mask
 from jaxmocap.synthetic.drawing_camera import DrawingCamera

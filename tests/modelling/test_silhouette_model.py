@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from bench.anthropometry import MeasuredPerson
+from bench.modelling import MeasuredPerson
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.capture.photographs import png_of
