@@ -52,7 +52,7 @@ def measured(options: argparse.Namespace, folder: Path) -> "tuple[list[Metric], 
     """
     import cv2
 
-    from bench import frame_rate, growth, headline, rivals
+    from bench import algorithms, frame_rate, growth, headline, rivals
     from bench.clips import film
 
     cv2.setNumThreads(1)
@@ -65,7 +65,7 @@ def measured(options: argparse.Namespace, folder: Path) -> "tuple[list[Metric], 
     footage = film(folder, CLIP_S[quick])
     if only in (None, "frame rate"):
         metrics += shown("frame rate", frame_rate.measure(footage, quick))
-        metrics += shown("against the reference", rivals.against_reference(footage, quick))
+        metrics += shown("against the reference", algorithms.against_reference(footage, quick))
     if only in (None, "rivals"):
         absent = rivals.missing()
         metrics += shown("rivals", rivals.measure(quick, absent))

@@ -35,6 +35,8 @@ REAL_LANDMARKS = {"neck": "Neck", "vertex": "Head"} | {
     for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
     for side in "lr"
 }
+# Where the cameras of synthetic recordings stand, degrees from frontal, seed by seed.
+AZIMUTHS = (0.0, -60.0, 60.0, -30.0, 30.0)
 SIZES = ((640, 480), (1280, 720), (1920, 1080))
 # First channel and number of channels of each joint of an exerciser, which one error rotates.
 JOINTS = ((3, 3), (6, 3), (9, 1), *((i, n) for s in (10, 14) for i, n in ((s, 3), (s + 3, 1))))

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from bench import add_rendered, command, kept
-from bench.clips import REAL_LANDMARKS, Clip, exercises, real, synthetic
+from bench.clips import AZIMUTHS, REAL_LANDMARKS, Clip, exercises, real, synthetic
 from bench.figures import Metric, aligned, write_json
 from bench.silhouette import REAL, true_start
 from jaxmocap.body.motion import UNDETERMINED_M, Motion
@@ -42,7 +42,6 @@ from jaxmocap.synthetic.photographs import rest_height
 KINDS = ("elbow", "shoulder", "hip", "knee", "wrist")
 WAYS: dict[str, Mode] = {"hybrid": "own", "causal": "causal"}
 SILHOUETTES = "silhouettes"
-AZIMUTHS_DEG = (0.0, -60.0, 60.0, -30.0, 30.0)
 EXERCISES = ("walking", "arm_raises")
 # Shares of the samples, the surest first.
 KEPT = (1.0, 0.9, 0.75, 0.5)
@@ -56,7 +55,7 @@ def tracked(options: argparse.Namespace, keep: Path) -> Iterator[tuple[str, Erro
             continue
         clips = [("real", clip) for clip in real(folder)]
         for motion in MOTIONS:
-            played = synthetic(motion, options.seeds, AZIMUTHS_DEG, 6.0, keep)
+            played = synthetic(motion, options.seeds, AZIMUTHS, 6.0, keep)
             clips += [(motion, clip) for clip in played]
         for kind, clip in clips:
             print(f"{way}: {clip.name}", file=sys.stderr, flush=True)

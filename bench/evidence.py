@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bench import command, kept, seeds
-from bench.clips import Clip, real, synthetic
+from bench.clips import AZIMUTHS, Clip, real, synthetic
 from bench.figures import Metric, aligned, write_json
 from jaxmocap.body.model import Model, marker_sites
 from jaxmocap.body.motion import Motion
@@ -59,7 +59,7 @@ from jaxmocap.smoothing.problem import FirstPass, Trajectory
 ALIKE, DIFFERENT = 2.0, 5.0
 # Pixels of the shrunk images by which the background is blurred, and the difference.
 FLAT_PX, SOFT_PX = 12.0, 1.5
-AZIMUTHS, SECONDS = (0.0, -60.0, 60.0, -30.0, 30.0), 6.0
+SECONDS = 6.0
 # Of key points made from the truth: pixels; how many are false, how far off; their confidences.
 MODEL, NOISE_PX, FALSE, ASTRAY_PX = "BODY_25B", 3.0, 0.05, 150.0
 SURE, UNSURE = (0.6, 1.0), (0.2, 0.8)

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from bench import add_rendered, command, kept
-from bench.clips import Clip, exercises, real, synthetic
+from bench.clips import AZIMUTHS, Clip, exercises, real, synthetic
 from bench.figures import Metric, table, write_json
 from bench.rival_detector import joints_found
 from jaxmocap.capture.video import open_video
@@ -46,8 +46,6 @@ HIPS, ELBOWS = (
 )
 # By these each frame's joints are laid upon the true ones.
 LAID = [row for row, name in enumerate(NUMBERS) if "ankle" not in name]
-# The camera of rendered squats and table tennis, degrees from frontal, seed by seed.
-AZIMUTHS = (0.0, -60.0, 60.0, -30.0, 30.0)
 KINDS, DETECTED = ("walking", "arm_raises", "squat", "balancing"), "tennis"
 # A truth that is farther off in time than that is not a frame's, seconds.
 NEAR_S = 0.02

@@ -34,7 +34,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bench import command, kept, seeds
-from bench.clips import Clip, real, synthetic
+from bench.clips import AZIMUTHS, Clip, real, synthetic
 from bench.clock import interleaved
 from bench.contour_pose import camera_at, surface_trial, trial
 from bench.evaluation import calm_of
@@ -75,7 +75,6 @@ ELBOWS = [LANDMARKS.index(f"elbow_{side}") for side in "lr"]
 WARM = 5
 HEADINGS = [["room", "way", "left", "right", "against", "ms a step", "", "frames"],
             ["", "", "cm", "cm", "markers", "median", "99 %", "per s"]]  # fmt: skip
-AZIMUTHS = (0.0, -60.0, 60.0, -30.0, 30.0)
 CUTOFFS = (0.0, 1.0, 2.0, 4.0, 6.0)
 FIGURES = {"mean": "cm", "above 0.3 Hz": "cm", "acceleration": "truth's"}
 POINTS = 100
