@@ -174,6 +174,13 @@ def test_no_file_is_longer_than_350_lines(path):
     assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST_FILE
 
 
+def test_every_benchmark_is_short_and_named_in_their_readme():
+    readme = (PROJECT / "bench" / "README.md").read_text(encoding="utf-8")
+    for path in (PROJECT / "bench").glob("[!_]*.py"):
+        assert f"`bench.{path.stem}`" in readme or f"`{path.stem}`" in readme, path.name
+        assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST_FILE, path.name
+
+
 def test_there_is_no_drawer_for_odds_and_ends():
     names = {part.removesuffix(".py") for path in FILES for part in Path(within(path)).parts}
     assert not names & set(DRAWERS)
