@@ -60,6 +60,8 @@ def test_a_folder_of_more_files_than_frames_is_refused(tmp_path, monkeypatch):
         (f'[{{"frame_id": {10**13}, "instances": []}}]', "[0].frame_id: found 10000000000000"),
         ('{"people": "\\u001b[31m"}', "people: found '\\x1b[31m', expected a list"),
         ('{"people": [{"pose_keypoints_2d": [1e300, 1, 1]}]}', "found 1e+300, expected pixels"),
+        ('{"people": [{"pose_keypoints_2d": [true, 1, 1]}]}', "found other than equally long"),
+        ('{"people": [{"pose_keypoints_2d": ["1", 1, 1]}]}', "found other than equally long"),
     ],
 )
 def test_json_that_would_fill_memory_or_break_the_parser_is_refused(tmp_path, text, says):

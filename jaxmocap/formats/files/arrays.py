@@ -1,4 +1,4 @@
-"""NPZ: named arrays in a zip file, checked against what a format states of them.
+"""NPZ: named arrays in a zip file, checked against what a format states of them; lists of numbers.
 
 INPUTS: a .npz file; of each array its dimensions, what kind of values it holds, and their range.
 OUTPUTS: the arrays; InputError in one sentence: the array, what was found, what was expected.
@@ -15,6 +15,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -73,6 +74,19 @@ class ArraySpec:
     allow_nan: bool = False
     allow_infinity: bool = False
     max_characters: int = MAX_NAME_CHARACTERS
+
+
+def float_array(value: Any) -> np.ndarray:
+    """The numbers in nested lists; None becomes NaN.
+
+    Raises:
+        TypeError, ValueError, OverflowError: other values, also those that NumPy takes for numbers
+            (true, false, texts), or lists that are not equally long.
+    """
+    array = np.array(value, float)
+    if any(isinstance(each, bool | str) for each in np.array(value, object).flat):
+        raise TypeError("found other than numbers")
+    return array
 
 
 class NpzArrays:

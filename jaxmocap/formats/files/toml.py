@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxmocap.formats.files.arrays import float_array
 from jaxmocap.formats.files.errors import InputError, printable, short_repr, shortened
 from jaxmocap.formats.files.reading import read_bytes, regular_file
 from jaxmocap.formats.files.writing import write_text
@@ -234,7 +235,7 @@ class TomlTable:
         """A required array of numbers, of one of the shapes; none beyond ``largest``, or minus."""
         value = self.required(key)
         try:
-            array = np.array(value, float)
+            array = float_array(value)
         except (TypeError, ValueError, OverflowError):
             array = np.array(np.nan)
         if array.shape not in shapes or not np.isfinite(array).all():

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxmocap.formats.files.arrays import float_array
 from jaxmocap.formats.files.errors import InputError, short_repr
 from jaxmocap.formats.files.json_text import parse_json
 from jaxmocap.formats.files.reading import read_bytes
@@ -183,7 +184,7 @@ def _array(file: Path, where: str, values: Any) -> np.ndarray:
     values = _list(file, where, values)
     try:
         # A null becomes NaN, which is what it means.
-        array = np.asarray(values, float)
+        array = float_array(values)
     except (TypeError, ValueError, OverflowError):
         raise InputError(file, f"{where}: found other than equally long lists of numbers") from None
     if (largest := np.abs(array[np.isfinite(array)]).max(initial=0.0)) > LARGEST_PIXEL:
