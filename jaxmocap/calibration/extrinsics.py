@@ -155,7 +155,7 @@ def _check_points(points_world: np.ndarray) -> None:
     if len(points_world) < 4:
         raise ArithmeticError(f"found {len(points_world)} points, expected at least 4")
     extents = np.linalg.svd(points_world - points_world.mean(0), compute_uv=False)
-    if extents[1] < _LINE_BREADTH * extents[0]:
+    if extents[1] <= _LINE_BREADTH * extents[0]:
         raise ArithmeticError("all points lie on one line, expected them spread in two directions")
     if (
         len(points_world) < _MIN_POINTS_FOR_OUTLIER

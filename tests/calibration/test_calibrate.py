@@ -400,6 +400,7 @@ def test_what_is_no_picture_is_refused(tmp_path, uncalibrated, name, content, sa
         ([*BOARD_OPTIONS[:-1], "metadata"], "'metadata' as a camera's name"),
         ([*BOARD_OPTIONS, "--charuco", "5X5_100,0.07"], "expected less than its square (0.06 m)"),
         ([*BOARD_OPTIONS, "--charuco", "9X9,0.04"], "unknown, expected 4X4_100, "),
+        ([*BOARD_OPTIONS, "--charuco", "5X5_100"], "'5X5_100', expected a dictionary and metres"),
     ],
 )
 def test_senseless_boards_and_names_are_refused(wall, tmp_path, uncalibrated, options, says):
@@ -412,6 +413,7 @@ def test_senseless_boards_and_names_are_refused(wall, tmp_path, uncalibrated, op
         ("c.yml", None, "c.yml: cannot be written to, expected a .toml file"),
         ("c.toml", "[cam\n", "c.toml: not TOML"),
         ("c.toml", "cam = 3\n", "[cam]: found 3, expected a table"),
+        ("c.toml", "[subject]\nheight = 1.75\n", "c.toml: is there and is no calibration"),
     ],
 )
 def test_files_that_cannot_take_the_camera_are_refused(
@@ -422,7 +424,7 @@ def test_files_that_cannot_take_the_camera_are_refused(
     assert says in uncalibrated(wall, *BOARD_OPTIONS, out=out)
 
 
-@pytest.mark.parametrize("value", ["4", "4x", "x7", "axb", "4x7x2"])
+@pytest.mark.parametrize("value", ["4", "4x", "x7", "axb", "4x7x2", f"4x{'9' * 5000}"])
 def test_a_board_that_is_no_pair_of_counts_is_refused_by_the_parser(value, refusal):
     given = ["calibrate", "intrinsics", "a.jpg", "--board", value, *BOARD_OPTIONS[2:]]
     assert "expected inner corners such as 4x7" in refusal(*given)

@@ -354,6 +354,7 @@ def test_points_may_have_names(folder, capsys):
         (SPREAD[:3], "found 3 points, expected at least 4"),
         (SPREAD[:5], "5 points that are not on a plane, expected at least 6"),
         (np.linspace([0, 0, 0], [0.5, -0.2, 0.1], 6), "all points lie on one line"),
+        (np.zeros((6, 3)), "all points lie on one line"),
     ],
 )
 def test_points_that_do_not_determine_a_camera_are_refused(folder, unplaced, points, says):
@@ -398,7 +399,7 @@ def test_a_photograph_a_little_narrower_is_taken_as_cropped_and_said(folder, cap
 
 def test_a_pose_needs_its_board_and_a_camera_its_intrinsics(folder, unplaced):
     assert "expected --board and --square too" in unplaced("--pose", numbers(POSE))
-    (folder / "c.toml").write_text("[other]\nfisheye = false\n")
+    (folder / "c.toml").write_text("[other]\nsize = [640, 480]\n")
     message = unplaced(*CHESS, "--pose", numbers(POSE))
     assert "section [cam] is missing, found other" in message
     (folder / "c.toml").write_text("[cam]\nfisheye = 'yes'\n")

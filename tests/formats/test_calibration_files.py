@@ -126,7 +126,7 @@ def file_storage(path, **values) -> None:
 
 @settings(max_examples=12)
 @given(
-    hnp.arrays(float, 4, elements=st.floats(1, 5000)),
+    hnp.arrays(float, 4, elements=st.floats(80, 5000)),
     st.sampled_from([4, 5, 8]).flatmap(
         lambda n: hnp.arrays(float, n, elements=st.floats(-2, 2, allow_subnormal=False))
     ),

@@ -264,6 +264,16 @@ def test_a_file_of_no_system_lists_the_systems(tmp_path):
     assert "found no calibration" in refused(tmp_path / "empty")
 
 
+def test_a_file_that_holds_no_calibration_is_not_replaced_by_one(tmp_path):
+    source, _ = qualisys(tmp_path, CAMERAS)
+    target = written(tmp_path, "recording.toml", "[subject]\nheight = 1.75\n")
+    says = complaint(convert_calibration, source, target)
+    assert says.endswith("recording.toml: is there and is no calibration, expected another name")
+    assert target.read_text() == "[subject]\nheight = 1.75\n"
+    for _ in range(2):
+        convert_calibration(source, tmp_path / "ours.toml")
+
+
 def test_a_system_without_a_calibrated_camera_is_refused(tmp_path):
     text = '<Cameras><Camera DEVICEID="1" TYPE="Vue_VIDEO"><KeyFrames/></Camera></Cameras>'
     assert "no camera that is calibrated" in refused(written(tmp_path, "a.xcp", text))

@@ -283,6 +283,8 @@ def test_a_rotation_may_be_a_matrix(tmp_path):
         ({"rotation": "[1, 2]"}, "[cam] rotation: found [1, 2], expected a Rodrigues vector"),
         ({"rotation": "[1, 2, nan]"}, "expected a Rodrigues vector"),
         ({"rotation": "[1, 2, 'x']"}, "expected a Rodrigues vector"),
+        ({"rotation": "[1, 2, '3']"}, "found [1, 2, '3'], expected a Rodrigues vector"),
+        ({"translation": "[true, 0, 3]"}, "[cam] translation: found [True, 0, 3], expected 3"),
         ({"rotation": "[[1, 0, 0], [0, 1, 0], [0, 0, 2]]"}, "not a rotation"),
         ({"rotation": "[[1, 0, 0], [0, 1, 0], [0, 0, -1]]"}, "not a rotation"),
         ({"translation": "[1, 2]"}, "[cam] translation"),
@@ -294,6 +296,8 @@ def test_a_rotation_may_be_a_matrix(tmp_path):
         ({"size": "[0.1, 480]"}, "[cam] size: found"),
         ({"matrix": "[[1e300, 0, 0], [0, 1, 0], [0, 0, 1]]"}, "[cam] matrix: found"),
         ({"matrix": "[[1e-300, 0, 0], [0, 1, 0], [0, 0, 1]]"}, "[cam] matrix: found"),
+        # Millimetres.
+        ({"matrix": "[[4.2, 0, 320], [0, 4.2, 240], [0, 0, 1]]"}, "pixels, here 25.6 or more"),
         ({"distortions": "[1e200]"}, "[cam] distortions: found"),
         ({"rotation": "[1e200, 0, 0]"}, "[cam] rotation: found"),
         ({"translation": "[1e200, 0, 0]"}, "[cam] translation: found"),

@@ -16,6 +16,7 @@ from jaxmocap.formats.calibrations import easymocap, motive, opencap, qualisys, 
 from jaxmocap.formats.calibrations.source import Source, SourceCalibration, open_source
 from jaxmocap.formats.cameras.calibration import (
     METADATA_SECTION,
+    check_replaceable,
     read_lens,
     read_place,
     shortest,
@@ -74,8 +75,10 @@ def convert_calibration(
         Sentences: the system, its unit and axis, the cameras, what was left out or assumed.
 
     Raises:
-        InputError: no system's, a field of it that does not fit, or an option that contradicts it.
+        InputError: no system's, a field of it that does not fit, an option that contradicts it, or
+            the target is there and no calibration.
     """
+    check_replaceable(Path(target))
     opened = open_source(source)
     read = ((name, reader(opened)) for name, reader in SYSTEMS.items())
     system, calibration = next(

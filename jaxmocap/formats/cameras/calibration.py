@@ -38,6 +38,8 @@ METADATA_SECTION = "metadata"
 ORTHONORMAL_TOLERANCE = 1e-3
 # Radians of a Rodrigues vector, which need not be the shortest.
 LARGEST_ROTATION = 1e3
+# Of a focal length in the picture's longer side: a lens of 170° has 1/23.
+LEAST_FOCAL_SHARE = 1 / 25
 _Section = TypeVar("_Section")
 
 
@@ -186,6 +188,9 @@ def read_lens(fields: TomlTable) -> Intrinsics:
     lens = Intrinsics(size, matrix, distortions, fisheye)
     if problem := lens_problem(size, matrix, distortions, lens.model):
         raise fields.error(*problem)
+    if (np.diag(matrix)[:2] < (least := LEAST_FOCAL_SHARE * size.max())).any():
+        expected = f"expected focal lengths in pixels, here {least:g} or more"
+        raise fields.error("matrix", f"found {matrix.tolist()}, {expected}")
     return lens
 
 
@@ -272,3 +277,17 @@ def check_camera_writable(path: Path, name: str) -> None:
         raise InputError(path, f"found {short_repr(name)} as a camera's name, {problem}")
     if path.exists():
         TomlTable(path, f"[{name}]", read_toml(path).get(name, {}))
+    check_replaceable(path, name)
+
+
+def check_replaceable(path: Path, name: str | None = None) -> None:
+    """InputError where a file that is there holds no camera: it was not meant to be changed.
+
+    Whatever stands in the section of that name is the camera's.
+    """
+    tables = _sections(path) if path.exists() else {}
+    if tables and not any(
+        key == name or (isinstance(each, dict) and {"size", "matrix"} & each.keys())
+        for key, each in tables.items()
+    ):
+        raise InputError(path, "is there and is no calibration, expected another name")
