@@ -113,7 +113,7 @@ def scale_subject(
         problem = "found no source, expected --height, --static or --recording"
         raise InputError("the person", problem)
     table = {"height": height, "wrists": wrists} | ({} if mass is None else {"mass": mass})
-    skeleton = read_subject(Path(out), "scale", table)
+    skeleton = read_subject(Path("the person"), "", table)
     write_subject(out, skeleton, height)
     return ScaledBody(skeleton, height, {}, Path(out))
 

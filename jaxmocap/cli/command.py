@@ -46,7 +46,7 @@ class Command(NamedTuple):
 
 def positive_number(text: str) -> float:
     """A number above 0."""
-    value = float(text)
+    value = _number(text)
     if not 0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"found {text}, expected a positive number")
     return value
@@ -54,9 +54,17 @@ def positive_number(text: str) -> float:
 
 def finite_number(text: str) -> float:
     """Any number but infinity and NaN."""
-    if not abs(value := float(text)) < math.inf:
+    if not abs(value := _number(text)) < math.inf:
         raise argparse.ArgumentTypeError(f"found {text}, expected a finite number")
     return value
+
+
+def _number(text: str) -> float:
+    """NaN where it is no number."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def whole_number(text: str) -> int:
@@ -121,7 +129,7 @@ def pair(expected: str) -> Callable[[str], tuple[str, str]]:
 def inner_corners(text: str) -> tuple[int, int]:
     """COLUMNSxROWS of a chessboard's inner corners."""
     columns, _, rows = text.lower().partition("x")
-    if not (columns.isdecimal() and rows.isdecimal()):
+    if not (_is_whole(columns) and _is_whole(rows)):
         raise argparse.ArgumentTypeError(f"found {text!r}, expected inner corners such as 4x7")
     return int(columns), int(rows)
 
@@ -136,7 +144,10 @@ def picture_size(text: str) -> tuple[int, int]:
 
 def charuco_markers(text: str) -> tuple[str, float]:
     """DICTIONARY,METRES of a ChArUco board's markers."""
-    dictionary, _, side = text.partition(",")
+    dictionary, comma, side = text.partition(",")
+    if not comma:
+        expected = "a dictionary and metres such as 5X5_100,0.045"
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected {expected}")
     return dictionary.strip(), positive_number(side)
 
 

@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jaxmocap.cli.command import positive_number
 from jaxmocap.formats.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def add_detector(parser: argparse.ArgumentParser, default: str | None = None) ->
     add(
         "--detector-timeout",
         metavar="S",
-        type=float,
+        type=positive_number,
         help="seconds that mediapipe may take for a frame; default: two minutes",
     )
 

@@ -55,7 +55,7 @@ GROUPS = {
     "silhouette": (silhouette.PURPOSE, silhouette.COMMANDS),
 }
 # Options whose value may begin with a minus, which argparse would take for an option.
-SIGNED_OPTIONS = ("--pose", "--origin", "--at")
+SIGNED_OPTIONS = ("--pose", "--origin", "--at", "--room", "--heights", "--turning", "--still")
 
 
 class Parser(argparse.ArgumentParser):

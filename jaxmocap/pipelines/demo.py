@@ -19,6 +19,7 @@ from jaxmocap.evaluation.errors import Errors
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.plots import plot_elbow_errors
 from jaxmocap.evaluation.tables import format_table
+from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.pipelines.progress import progress_bar
@@ -35,6 +36,8 @@ from jaxmocap.synthetic.recording import (
 
 ELBOW_PAIRS = {"elbow_l": "elbow_l", "elbow_r": "elbow_r"}
 HEIGHT_M = 1.75
+# Seconds that are rendered.
+LEAST_S, MOST_S = 0.1, 3600.0
 # Of the player's mesh and clothes, which people look at.
 DETAIL = 2
 PLOT_FILE = "elbow_errors.png"
@@ -99,6 +102,8 @@ def demonstrate(
         seed: of person, room, strokes and noise.
         progress: show bars on stderr.
     """
+    if not LEAST_S <= seconds <= MOST_S:
+        raise InputError("--seconds", f"found {seconds:g}, expected {LEAST_S:g} to {MOST_S:g}")
     folder = OutputFolder(directory, MOTION, FILES)
     recording_folder = OutputFolder(folder.path / "recording", "recording", RECORDING_FILES)
     # The tracker compiles while the frames are rendered.

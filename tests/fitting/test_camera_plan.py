@@ -193,9 +193,10 @@ def test_a_place_in_words(place, words):
     [
         (["--joints", "elbow"], "--joints: found 'elbow', expected elbows, wrists"),
         (["--room", "0.5,0.5,0.5,0.5"], "--room: leaves no place 1.6 m from the person"),
-        (["--room=-1,2,2,2"], "--room: found -1, expected distances from 0 on"),
+        (["--room", "-1,2,2,2"], "--room: found -1, expected distances from 0 on"),
         (["--heights", "2,1"], "--heights: found 2 and 1, expected the lower first"),
         (["--fov", "2"], "--fov: found 2, expected 5 to 150 degrees"),
+        (["--rate", "1e9"], "--rate: found 1e+09, expected 1 to 10000 frames a second"),
         (["--cameras", "9"], "--cameras: found 9, expected 1 to 4"),
         (["--height", "17"], "--height: height = 17.0: expected metres between"),
         (["--out", "plan.txt"], "plan.txt: found '.txt', expected .png, .svg, .pdf"),

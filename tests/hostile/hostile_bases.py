@@ -105,7 +105,7 @@ Hand = { bone = "hand_l", at = 0.5, offset = [0.0, 0.02, 0.0] }
 [markers.filters]
 one_euro = { cutoff = 2.0, beta = 1.5 }
 [osc]
-listen = "127.0.0.1:0"
+listen = "127.0.0.1:39593"
 raw = true
 [osc.names]
 controller = "Hand"

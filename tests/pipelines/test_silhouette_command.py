@@ -158,6 +158,7 @@ def test_a_recording_that_shows_nobody_is_refused(folder):
         (["--person", "other.npz"], "other.npz: holds no rigged meshes, expected an .npz with"),
         (["--seconds", "0.01"], "0.01 s hold no frame, expected at least 0.033 s"),
         (["--seconds", "-1"], "expected a positive number"),
+        (["--seconds", "1e9"], "--seconds: found 1e+09, expected at most 3600"),
         (["--seed", "-1"], "expected a whole number from 0 on"),
         (["--exercise", "dancing"], "invalid choice: 'dancing'"),
     ],

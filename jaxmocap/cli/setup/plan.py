@@ -19,6 +19,8 @@ from jaxmocap.cli.command import positive_whole_number as whole
 
 MOVEMENTS = ("tennis", "thrust", "reaching", "across", "raises", "squat")
 MOST_CAMERAS = 4
+# Frames a second: of film, and of the fastest cameras.
+RATES = 1.0, 10_000.0
 PLAN_TEXT = """\
 Which place of a camera makes the joints surest, by gradient, and what it would be worth: the
 deviation that a report would state. With a recording its markers show the movement, and its cameras
@@ -90,6 +92,9 @@ def _run(options: argparse.Namespace) -> None:
 
     if options.cameras > MOST_CAMERAS:
         raise InputError("--cameras", f"found {options.cameras}, expected 1 to {MOST_CAMERAS}")
+    if not RATES[0] <= options.rate <= RATES[1]:
+        expected = f"expected {RATES[0]:g} to {RATES[1]:g} frames a second"
+        raise InputError("--rate", f"found {options.rate:g}, {expected}")
     for name in ("movement", "height"):
         if options.recording and getattr(options, name) is not None:
             raise InputError(f"--{name}", "is for a drawn movement, and a recording was given")

@@ -9,6 +9,9 @@ import argparse
 from jaxmocap.cli.command import Command, exit_code, positive_number, report
 from jaxmocap.cli.recording_options import add_cameras, recording_of
 
+# Seconds; the time that it takes grows with them.
+MOST_S = 60.0
+
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", metavar="RECORDING.toml")
@@ -24,7 +27,11 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from jaxmocap.calibration.sync import estimate_video_offsets, sync_text
+    from jaxmocap.formats.files.errors import InputError
 
+    if options.search > MOST_S:
+        found = f"found {options.search:g}, expected at most {MOST_S:g} seconds"
+        raise InputError("--search", found)
     videos = estimate_video_offsets(recording_of(options), options.search)
     report(options, sync_text(videos), {"videos": [video.figures() for video in videos]})
     count = sum(not video.is_found for video in videos)

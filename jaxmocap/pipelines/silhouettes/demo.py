@@ -19,9 +19,11 @@ from jaxmocap.evaluation.errors import Errors
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.plots import plot_joint_errors
 from jaxmocap.evaluation.tables import format_table
+from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
+from jaxmocap.pipelines.demo import MOST_S
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, model_folder, model_from, write_model
 from jaxmocap.pipelines.silhouettes.person import Person, with_model
@@ -124,6 +126,8 @@ def demonstrate_silhouettes(
         kind: the mesh's exercise.
         progress: show bars on stderr.
     """
+    if seconds > MOST_S:
+        raise InputError("--seconds", f"found {seconds:g}, expected at most {MOST_S:g}")
     folder = Path(directory)
     recording_folder = OutputFolder(folder / "recording", "recording", RECORDING_FILES)
     outputs = OutputFolder(folder, MOTION, FILES)
