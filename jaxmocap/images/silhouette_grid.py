@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.compilation.arrays import Numbers, namespace
 from jaxmocap.geometry.outlines import Discs, Swept, Touch, swept, touch_swept
 from jaxmocap.geometry.rotations import HIGHEST
 
@@ -55,13 +56,14 @@ def blurred(grid: Grid, softness: float) -> Grid:
 
 def halved(grid: Grid) -> Grid:
     """Grids (..., S, S) of half as many cells to a side; each counts as the four that it was."""
+    of = namespace(grid.weight)
 
-    def mean(values: Array | np.ndarray) -> np.ndarray:
+    def mean(values: Array | np.ndarray) -> Numbers:
         *batch, size, _ = values.shape
-        return np.reshape(values, (*batch, size // 2, 2, size // 2, 2)).mean((-3, -1))
+        return of.reshape(values, (*batch, size // 2, 2, size // 2, 2)).mean((-3, -1))
 
     weight = mean(grid.weight)
-    probability = mean(grid.probability * grid.weight) / np.maximum(weight, 1e-3)
+    probability = mean(grid.probability * grid.weight) / of.maximum(weight, 1e-3)
     return Grid(probability, 2 * weight)
 
 

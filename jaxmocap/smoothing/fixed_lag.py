@@ -25,7 +25,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jax import Array
-from threadpoolctl import ThreadpoolController
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, unpack
@@ -33,8 +32,7 @@ from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearance
 from jaxmocap.smoothing.facing import RunningFacing
 from jaxmocap.smoothing.settings import SmoothingSettings
-from jaxmocap.smoothing.uncertainty import landmark_deviations
-from jaxmocap.smoothing.window.equations import WindowEquations
+from jaxmocap.smoothing.window.advance import Advanced, advance
 from jaxmocap.smoothing.window.events import (
     Images,
     ReportedStep,
@@ -43,9 +41,10 @@ from jaxmocap.smoothing.window.events import (
     WindowFrame,
     any_image,
     expected_at,
-    offsets,
+    new_events,
 )
-from jaxmocap.smoothing.window.sliding import SOFTNESS, Window, stacked
+from jaxmocap.smoothing.window.solving import SOFTNESS
+from jaxmocap.smoothing.window.state import PLACES, Events, WindowState, init
 from jaxmocap.smoothing.window.track import (
     FADED_M,
     Sample,
@@ -57,14 +56,6 @@ from jaxmocap.smoothing.window.track import (
 )
 from jaxmocap.solvers.fading import Fading
 
-# A pose is given out once so many later video frames came,
-DELAY_FRAMES = 2
-# and so many seconds later at most; without video, where events wait for one another as well.
-DELAY_S, DELAY_WITHOUT_VIDEO_S = 0.1, 0.05
-# Video frames that stay in the window,
-KEPT_FRAMES = 3
-# for so many seconds at most.
-KEPT_S = 0.2
 # A marker sample is an event of the window so many seconds after the last one, and where no event
 # of the window has an image; others lie between. A video's frames are events enough.
 EVENT_S, EVENT_UNSEEN_S = 0.045, 0.015
@@ -75,8 +66,6 @@ RECENT_SAMPLES = 40
 # Events that wait for the next video frame before the window is solved without one, and where no
 # event of the window has one: nothing more is to come.
 MOST_WAITING, MOST_WAITING_UNSEEN = 3, 2
-# Deviations are found at one video frame in so many, and hold until the next one.
-SURE_EVERY = 5
 # Silhouettes err alike from frame to frame. So deviations are so many times larger than by counting
 # each frame for itself: by ten rendered clips and one real person; by six real people who walk.
 ERRS_ALIKE, ERRS_ALIKE_WITHOUT_VIDEO = 1.4, 2.6
@@ -122,29 +111,28 @@ class FixedLagSmoother:
         """
         self.model, self.settings = model, settings
         self._person = replace(model, cameras=None)
-        self._window = Window(model, settings)
+        self._advance = advance.after(model, settings)
         self._appearances = [
-            RunningAppearance(model.skeleton, camera, model.no_foot_is_marked)
-            for camera in self._window.cameras
+            RunningAppearance(model.skeleton, model.camera(index), model.no_foot_is_marked)
+            for index in range(model.camera_count)
         ]
         self._no_goals = np.full((2, 3), np.nan, model.dtype)
-        self._blas = ThreadpoolController()
-        self._count = self._given = 0
+        self._count = 0
         self._begin()
 
     def _begin(self) -> None:
         """No events, no marginal prior; the learned room and the person's colours stay."""
-        self._window.begin()
+        # What may still change; and as arrays, with what the events before tell.
+        self._events: list[WindowEvent] = []
+        self._state: WindowState | None = None
+        self._news: Events | None = None
         self._facing = RunningFacing()
         self._marker_pose: np.ndarray | None = None
         self._fading: Fading | None = None
-        # Number and pose of the event given out last.
-        self._last_given: tuple[int, Pose] | None = None
         self._waiting: list[ReportedStep] = []
         self._samples = deque[Sample](maxlen=RECENT_SAMPLES)
         # Samples between events that were not given out yet.
         self._between: list[Sample] = []
-        self._frames_since_sure, self._sure = SURE_EVERY, None
 
     def step(
         self,
@@ -203,39 +191,39 @@ class FixedLagSmoother:
 
     def _last_time(self) -> float | None:
         """Of the last event of this motion, seconds."""
-        steps = [*self._window.events[-1:], *self._waiting[-1:]]
+        steps = [*self._events[-1:], *self._waiting[-1:]]
         return steps[-1].time if steps else None
 
     @property
     def _is_seen(self) -> bool:
         """Whether a camera shows an event that can still change."""
         waiting = any(step.has_image for step in self._waiting)
-        return waiting or any(event.frames for event in self._window.events)
+        return waiting or any(event.frames for event in self._events)
 
-    def _gather(self) -> None:
+    def _gather(self) -> Events:
         """The steps that wait, with the poses that are expected there and what cameras saw."""
-        if not self._waiting:
-            return
         dtype, waiting, self._waiting = self.model.dtype, self._waiting, []
-        alone = [stacked([step.report.marker_pose])[0].astype(dtype) for step in waiting]
-        events, before = self._window.events, self._marker_pose
-        last = np.concatenate(events[-1].pose).astype(dtype) if events else alone[0]
-        before = alone[0] if before is None else before
-        expected = expected_at(self.model.skeleton, last, before, alone)
-        self._marker_pose = alone[-1]
-        for step, there in zip(waiting, expected, strict=True):
-            elapsed = step.time - events[-1].time if events else 0.0
-            facing = self._facing.step(np.asarray(there.ahead), elapsed)
-            measured = {
-                "markers": np.asarray(step.markers_world, dtype),
-                "upright": there.upright,
-                "facing": facing.astype(dtype),
-                "ankles": there.ankles,
-                "elbows": self._no_goals,
-            }
-            frames = self._frames(step.images, there.pose)
-            events.append(WindowEvent(step.number, step.time, measured, there.pose, frames))
-        update_frames_markers(events, self._samples)
+        events, measured, since = self._events, [], []
+        known = len(events)
+        if waiting:
+            alone = [np.concatenate(step.report.marker_pose).astype(dtype) for step in waiting]
+            last = np.concatenate(events[-1].pose).astype(dtype) if events else alone[0]
+            before = alone[0] if self._marker_pose is None else self._marker_pose
+            expected = expected_at(self.model.skeleton, last, before, alone)
+            self._marker_pose = alone[-1]
+            for step, there in zip(waiting, expected, strict=True):
+                since.append(step.time - events[-1].time if events else LONGEST_GAP_S)
+                facing = self._facing.step(np.asarray(there.ahead), since[-1] if events else 0.0)
+                markers = np.asarray(step.markers_world, dtype)
+                measured.append({
+                    "markers": markers, "upright": there.upright, "facing": facing.astype(dtype),
+                    "ankles": there.ankles, "elbows": self._no_goals,
+                })  # fmt: skip
+                frames = self._frames(step.images, there.pose)
+                events.append(WindowEvent(step.number, step.time, markers, there.pose, frames))
+            update_frames_markers(events, self._samples)
+        self._news = new_events(self.model, events[known:], measured, since, self._news)
+        return self._news
 
     def _frames(self, images: Images, pose: Pose) -> list[WindowFrame]:
         """Camera, what its image shows about a pose, width and height; of new images only."""
@@ -252,23 +240,28 @@ class FixedLagSmoother:
 
     def _settle(self, final: bool) -> list[SmoothedPose]:
         """Solve the window, give out what has waited long enough, forget and learn."""
-        self._gather()
-        # Band matrices are narrow: BLAS's threads would only wait for one another.
-        with self._blas.limit(limits=1, user_api="blas"):
-            solved = self._window.solve()
-            given = self._give(final)
-            self._shorten(solved)
-        self._learn()
+        news, events = self._gather(), self._events
+        markers = np.full((PLACES, *events[0].markers_world.shape), np.nan, self.model.dtype)
+        markers[: len(events)] = [event.markers_world for event in events]
+        state = self._state or init(self.model, news)
+        self._state, found = self._advance(state, news, markers, np.bool_(final))
+        found = Advanced(*(np.asarray(part) for part in found))
+        for event, pose in zip(events, found.poses, strict=False):
+            event.pose = unpack(pose)
+        given = self._give(found, final)
+        # Frames are learned from once their poses are final.
+        for event in events[: found.given[1]]:
+            self._learn_from(event)
+        self._events = events[int(found.left) :]
         return given
 
-    def _give(self, final: bool) -> list[SmoothedPose]:
+    def _give(self, found: Advanced, final: bool) -> list[SmoothedPose]:
         """What has waited long enough, and all of it in the end."""
-        events = self._window.events
-        ready = [i for i in self._due(final) if events[i].number >= self._given]
+        events, ready = self._events, range(*found.given)
         if not ready:
             return []
-        deviations, from_prior = self._deviations(ready[-1])
-        self._correct()
+        if self._fading is not None:
+            self._fading = self._fading.corrected(found.correction.astype(float))
         track: list[TrackPose] = []
         for i in ready:
             earlier = [each for each in self._between if each.number < events[i].number]
@@ -277,47 +270,20 @@ class FixedLagSmoother:
         if final:
             track += between_events(events, len(events), self._between)
         poses = track_poses(self._person, [self._faded(each) for each in track])
-        last = events[ready[-1]]
-        self._last_given, self._given = (last.number, last.pose), last.number + 1
+        deviations = self._deviations(found)
         return [
-            SmoothedPose(each.number, each.time, unpack(pose), deviations, from_prior)
+            SmoothedPose(each.number, each.time, unpack(pose), deviations, found.from_prior)
             for each, pose in zip(track, poses, strict=True)
         ]
 
-    def _deviations(self, newest: int) -> tuple[np.ndarray, np.ndarray]:
-        """Of what is given out with an event, found every few frames."""
-        self._frames_since_sure += 1
-        if self._sure is None or self._frames_since_sure >= SURE_EVERY:
-            variances = self._window.variances([newest])
-            each = landmark_deviations(*variances, float(self.settings.mismatch))
-            self._sure, self._frames_since_sure = (each[0][0], each[1][0]), 0
+    def _deviations(self, found: Advanced) -> np.ndarray:
+        """(L, 3) of what is given out, metres."""
         alike = ERRS_ALIKE if self.model.camera_count else ERRS_ALIKE_WITHOUT_VIDEO
-        deviations = np.hypot(alike * self._sure[0], FADED_M)
+        deviations = np.hypot(alike * found.deviations.astype(float), FADED_M)
         if self._is_seen:
-            spread = self._window.arms_spread
-            deviations[ARM_LANDMARKS] = np.hypot(deviations[ARM_LANDMARKS], spread)
-        return deviations, self._sure[1]
-
-    def _due(self, final: bool) -> list[int]:
-        """Which events of the window have waited long enough."""
-        events, later, due = self._window.events, 0, []
-        longest = DELAY_S if self.model.camera_count else DELAY_WITHOUT_VIDEO_S
-        final = final or bool(self.model.camera_count and not self._is_seen)
-        for i in reversed(range(len(events))):
-            waited = events[-1].time - events[i].time
-            if final or later >= DELAY_FRAMES or waited >= longest:
-                due.append(i)
-            later += bool(events[i].frames)
-        return due[::-1]
-
-    def _correct(self) -> None:
-        """Carry on what the track has moved by behind what was given out last."""
-        now = {event.number: event.pose for event in self._window.events}
-        if self._fading is None or self._last_given is None or self._last_given[0] not in now:
-            return
-        number, pose = self._last_given
-        (offset,) = offsets(stacked([pose]), stacked([now[number]]))
-        self._fading = self._fading.corrected(offset)
+            spread = deviations[ARM_LANDMARKS], found.arms_spread
+            deviations[ARM_LANDMARKS] = np.hypot(*spread)
+        return deviations
 
     def _faded(self, pose: TrackPose) -> TrackPose:
         """A pose with what is left of corrections."""
@@ -325,23 +291,6 @@ class FixedLagSmoother:
         fading = self._fading or Fading(nothing, nothing, pose.time)
         self._fading = fading.at(pose.time, FADE_S)
         return pose._replace(offset=self._fading.offset)
-
-    def _shorten(self, solved: WindowEquations) -> None:
-        """Condense the oldest events: the newest few video frames stay, and what still waits."""
-        events, count = self._window.events, 0
-        while len(events) - count > 3 and events[count].number < self._given - 1:
-            frames = sum(bool(event.frames) for event in events[count:])
-            if frames <= KEPT_FRAMES and events[-1].time - events[count].time < KEPT_S:
-                break
-            count += 1
-        for event in self._window.drop(solved, count):
-            self._learn_from(event)
-
-    def _learn(self) -> None:
-        """Learn from frames whose poses are final."""
-        for event in self._window.events:
-            if event.number < self._given:
-                self._learn_from(event)
 
     def _learn_from(self, event: WindowEvent) -> None:
         if not event.learned:

@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.compilation.arrays import on_device
+from jaxmocap.compilation.arrays import Numbers, on_device
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, silhouette_fit
@@ -129,11 +129,11 @@ class FramesFit(NamedTuple):
         jacobian: (B, 3 L, N) of the landmarks.
     """
 
-    cost: Array | np.ndarray
-    hessian: Array | np.ndarray
-    gradient: Array | np.ndarray
-    points: Array | np.ndarray
-    jacobian: Array | np.ndarray
+    cost: Numbers
+    hessian: Numbers
+    gradient: Numbers
+    points: Numbers
+    jacobian: Numbers
 
 
 @program("quick")

@@ -14,6 +14,7 @@ import jax
 import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, landmark_mismatches
+from jaxmocap.compilation.arrays import Numbers, namespace
 from jaxmocap.evidence.keypoints import KeyPoints
 from jaxmocap.evidence.markers import ElbowGoals, MarkerPositions
 from jaxmocap.evidence.smoothness import Smoothness
@@ -38,8 +39,8 @@ OTHER_TERMS = (MarkerPositions, KeyPoints, ElbowGoals)
 
 
 def landmark_deviations(
-    variances: np.ndarray, without_video: np.ndarray, mismatch: float
-) -> tuple[np.ndarray, np.ndarray]:
+    variances: Numbers, without_video: Numbers, mismatch: Numbers
+) -> tuple[Numbers, Numbers]:
     """What the variances of landmarks come to.
 
     Args:
@@ -58,7 +59,8 @@ def landmark_deviations(
 def deviations_of(variances: Any, mismatch: Any) -> Any:
     """Deviations (..., L, 3), metres, of NumPy or JAX; see ``landmark_deviations``."""
     loose = variances / (variances + HELD_M**2)
-    return (variances + loose * (mismatch * landmark_mismatches()) ** 2) ** 0.5
+    off = namespace(variances).asarray(landmark_mismatches(), variances.dtype)
+    return (variances + loose * (mismatch * off) ** 2) ** 0.5
 
 
 def with_deviations(

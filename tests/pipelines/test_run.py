@@ -43,7 +43,7 @@ from jaxmocap.pipelines.tracking.motions import low_passed
 from jaxmocap.pipelines.tracking.track import make_tracker, track, track_both
 from jaxmocap.pipelines.viewer_frames import arm_edges, viewer_frames
 from jaxmocap.pipelines.writing import MOTION, write_outputs
-from jaxmocap.smoothing.fixed_lag import DELAY_S
+from jaxmocap.smoothing.window.advance import DELAY_S
 
 WRISTS = {"wrist_l": "LWrist", "wrist_r": "RWrist"}
 

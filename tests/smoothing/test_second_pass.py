@@ -41,10 +41,10 @@ from jaxmocap.pipelines.tracking.motions import unsmoothed
 from jaxmocap.pipelines.tracking.track import make_tracker, track_both
 from jaxmocap.smoothing import batch
 from jaxmocap.smoothing.batch import CameraFrames, smooth_recording
-from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES
 from jaxmocap.smoothing.linearise import SmoothedPoses
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory
 from jaxmocap.smoothing.settings import SmoothingSettings
+from jaxmocap.smoothing.window.advance import DELAY_FRAMES
 from jaxmocap.solvers.status import Status
 
 # Seconds apart: frames, and the marker samples of which every other has a frame.

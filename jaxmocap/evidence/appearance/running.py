@@ -33,7 +33,7 @@ from jaxmocap.evidence.appearance.learned import (
     in_image,
     landmark_halves,
 )  # fmt: skip
-from jaxmocap.evidence.silhouettes import FOREARMS, SilhouetteGrids
+from jaxmocap.evidence.silhouettes import FOREARMS, LegGrid, SilhouetteGrids
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.images.background_model import RunningBackground
@@ -54,6 +54,17 @@ LATER_EVERY = 3
 UNLIKELY_ODDS = -0.5
 # A region's scale stays as it is while the person fills this much of it, so that cells do not swim.
 LEAST_FILLED = 0.6
+
+
+def _empty(cells: int) -> Grid:
+    return Grid(*np.zeros((2, cells, cells), np.float32))
+
+
+# Of a camera that has no frame.
+_NOWHERE = Region(np.zeros(2, np.float32), np.zeros((), np.float32))
+NO_GRIDS = SilhouetteGrids(
+    _NOWHERE, _empty(UPPER_CELLS), _empty(UPPER_CELLS), LegGrid(_NOWHERE, _empty(LOWER_CELLS))
+)
 
 
 class MeasuredFrame(NamedTuple):

@@ -40,10 +40,11 @@ from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
 from jaxmocap.pipelines.tracking.marked import MarkedPass, followed, is_marked
 from jaxmocap.pipelines.tracking.motions import Tracked, gathered, low_passed, motions, unsmoothed
 from jaxmocap.smoothing.batch import smooth_recording
-from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, DELAY_S, FixedLagSmoother
+from jaxmocap.smoothing.fixed_lag import FixedLagSmoother
 from jaxmocap.smoothing.markers_alone import smooth_markers
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
 from jaxmocap.smoothing.uncertainty import deviations_without
+from jaxmocap.smoothing.window.advance import DELAY_FRAMES, DELAY_S
 
 # Run -> the people on whose recordings the factors of its deviations were chosen.
 CALIBRATED_ON = {

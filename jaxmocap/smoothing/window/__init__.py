@@ -1,4 +1,4 @@
 """The newest events of a run, solved again and again while older ones are condensed.
 
-Begin with ``sliding``; ``events`` has what it keeps of each.
+Begin with ``advance``, the pure function; ``state`` has what it keeps.
 """

@@ -4,25 +4,25 @@ INPUTS: what a step of a tracker measured and found. OUTPUTS: WindowEvents; what
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, Protocol
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import landmarks
-from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose, difference, retract, unpack
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.arrays import packed, unpacked
-from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
-from jaxmocap.evidence.appearance.running import MeasuredFrame
+from jaxmocap.evidence.appearance.running import NO_GRIDS, MeasuredFrame
 from jaxmocap.evidence.ground import ANKLES
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.rotations import quaternion_to_matrix
-from jaxmocap.smoothing.window.equations import LinearEvent
+from jaxmocap.smoothing.window.state import NEW, Events
 
 # A frame of each camera, None where there is no new one.
 Images = Sequence[np.ndarray | None] | None
@@ -30,7 +30,6 @@ Images = Sequence[np.ndarray | None] | None
 _EXPECTED_SHAPES = np.empty(2), np.empty(2), np.empty((2, 3))
 # Events per call, so that they compile once.
 EXPECTED_A_CALL = 1
-MOVED_A_CALL = 4
 
 
 class StepReported(Protocol):
@@ -118,35 +117,6 @@ def _expected(skeleton: Skeleton, last: Array, alone: Array) -> Array:
     return jax.lax.scan(one, unpack(last), (alone[:-1], alone[1:]))[1]
 
 
-def offsets(poses: np.ndarray, origins: np.ndarray) -> np.ndarray:
-    """Tangent vectors (T, 6 + D) from packed origins (T, 7 + D) to packed poses, float64."""
-    return in_batches(_differences, (poses, origins), MOVED_A_CALL)[0]
-
-
-@program("quick")
-def _differences(poses: Array, origins: Array) -> tuple[Array]:
-    """Tangent vectors (T, 6 + D) from origins to poses, both (T, 7 + D) packed."""
-    return (difference(unpack(poses), unpack(origins)),)
-
-
-def moved(
-    skeleton: Skeleton, poses: np.ndarray, steps: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Packed poses (T, 7 + D) moved by steps (T, N), and the landmarks (T, 3 L) there."""
-    dtype = poses.dtype
-    each = poses, steps.astype(dtype)
-    there, points = in_batches(lambda *batch: _moved(skeleton, *batch), each, MOVED_A_CALL)
-    return there.astype(dtype), points
-
-
-@program("quick")
-def _moved(skeleton: Skeleton, poses: Array, steps: Array) -> tuple[Array, Array]:
-    """Packed poses (T, 7 + D) moved by steps (T, N), and the landmarks (T, 3 L) there."""
-    there = retract(unpack(poses), steps)
-    points = jax.vmap(landmarks, (None, 0))(skeleton, there)
-    return pack(there), jnp.reshape(points, (len(points), -1))
-
-
 # A camera, what was measured in its frame, width and height of that.
 WindowFrame = tuple[int, MeasuredFrame, tuple[int, int]]
 
@@ -158,19 +128,56 @@ class WindowEvent:
     Attributes:
         number: of it, counted from 0.
         time: seconds.
-        measured: of it besides its silhouettes.
+        markers_world: (M, 3) metres; NaN where missing.
         pose: as it is now.
         frames: of the cameras that had a new one.
-        linear: all that it costs, about a pose near by; None before the first solve.
-        step: (N,) from that pose to the present one.
         learned: whether the frames were learned from.
     """
 
     number: int
     time: float
-    measured: Measurements
+    markers_world: np.ndarray
     pose: Pose
     frames: list[WindowFrame]
-    linear: LinearEvent | None = None
-    step: np.ndarray = field(default_factory=lambda: np.zeros(0))
     learned: bool = False
+
+
+def new_events(
+    model: Model,
+    events: Sequence[WindowEvent],
+    measured: Sequence[Measurements],
+    since: Sequence[float],
+    before: Events | None,
+) -> Events:
+    """Events that come into a window, as arrays; ``NEW`` rows, of which the first are there.
+
+    Args:
+        model: of the person, the markers and the cameras.
+        events: at most as many.
+        measured: of each, besides silhouettes.
+        since: seconds from the event before each.
+        before: those that came last, which fill up; None at first.
+    """
+    dtype, cameras = model.dtype, model.camera_count
+    if not events:
+        assert before is not None
+        return before._replace(filled=np.int32(0))
+    rows = np.minimum(np.arange(NEW), len(events) - 1)
+    shown = np.zeros((NEW, cameras), bool)
+    grids = None
+    if cameras:
+        grids = jax.tree.map(lambda part: np.zeros((NEW, cameras, *part.shape), dtype), NO_GRIDS)
+        for row, event in enumerate(events):
+            for camera, frame, _ in event.frames:
+                shown[row, camera] = True
+                jax.tree.map(partial(_put, (row, camera)), grids, frame.grids)
+    stacked = jax.tree.map(lambda *parts: np.stack(parts)[rows], *measured)
+    return Events(
+        np.int32(len(events)), np.asarray(since, dtype)[rows],
+        np.stack([np.concatenate(event.pose) for event in events]).astype(dtype)[rows],
+        stacked, shown, grids,
+    )  # fmt: skip
+
+
+def _put(where: tuple[int, int], every: np.ndarray, one: np.ndarray) -> None:
+    every[where] = one

@@ -103,8 +103,7 @@ def update_frames_markers(events: Sequence[WindowEvent], samples: Sequence[Sampl
         return
     there = markers_at(samples, np.array([event.time for event in between]))
     for event, markers in zip(between, there, strict=True):
-        of_type = markers.astype(event.measured["markers"].dtype)
-        event.measured = {**event.measured, "markers": of_type}
+        event.markers_world = markers.astype(event.markers_world.dtype)
 
 
 class TrackPose(NamedTuple):
@@ -132,7 +131,7 @@ class TrackPose(NamedTuple):
 def at_event(event: WindowEvent) -> TrackPose:
     """An event's own pose, before corrections."""
     there = np.stack([np.concatenate(event.pose)] * 4)
-    spans, markers = np.full(3, ENDLESS_S), event.measured["markers"]
+    spans, markers = np.full(3, ENDLESS_S), event.markers_world
     return TrackPose(event.number, event.time, there, spans, 0.0, markers)
 
 
