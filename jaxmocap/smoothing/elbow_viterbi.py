@@ -11,7 +11,7 @@ INPUTS: a recording's problem and its trajectory so far. OUTPUTS: goals for the 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -37,7 +37,7 @@ from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
 from jaxmocap.compilation.arrays import on_device
 from jaxmocap.compilation.batches import in_batches
-from jaxmocap.compilation.programs import program
+from jaxmocap.compilation.programs import Program, program
 from jaxmocap.evidence.keypoints import SightLines, line_residuals
 from jaxmocap.evidence.silhouettes import (
     SilhouetteGrids,
@@ -79,17 +79,19 @@ def elbow_goals(problem: SmoothingProblem, trajectory: Trajectory) -> np.ndarray
     times, rows = problem.times[frames], np.arange(len(frames))[:, None]
     path_settings = problem.settings.elbow_path
     prices = float(path_settings.speed), float(path_settings.largest_price)
-    every, stay = (np.tile(each, (len(frames), 1)) for each in (np.arange(len(TURNS)), [STAY]))
     with ThreadPoolExecutor(2, thread_name_prefix="price") as workers:
         there = rows_of(trajectory.poses, frames)
         call = partial(_elbows, problem.model, path_settings)
         elbows, own = in_batches(call, (there,), VIEWS_A_CALL, workers)
         own += _off_lines(problem, frames, elbows)
-        priced = partial(_priced, *coarsely(problem, SOFTNESS), trajectory, own, workers)
-        alone = priced(every, stay)[:, :, 0], priced(stay, every)[:, 0]
-        paths = [cheapest_path(alone[side], elbows[:, side], times, *prices) for side in range(2)]
-        pairs = [np.stack([stay[:, 0], path], 1) for path in paths]
-        costs = priced(*pairs).reshape(len(frames), -1)
+        price = partial(_pictures, *coarsely(problem, SOFTNESS), trajectory, workers)
+        alone = own + own[:, ::-1, STAY, None] + price(_lone_costs)
+        paths = [
+            cheapest_path(alone[:, side], elbows[:, side], times, *prices) for side in range(2)
+        ]
+        pairs = [np.stack([np.full_like(path, STAY), path], 1) for path in paths]
+        costs = own[rows, 0, pairs[0]][:, :, None] + own[rows, 1, pairs[1]][:, None]
+        costs = (costs + price(_pair_costs, tuple(pairs))).reshape(len(frames), -1)
     left, right = (elbows[rows, side, pairs[side]] for side in range(2))
     both = np.concatenate([np.repeat(left, 2, 1), np.tile(right, (1, 2, 1))], 2)
     decided = both[rows[:, 0], cheapest_path(costs, both, times, *prices)]
@@ -188,48 +190,49 @@ def _elbows(model: Model, settings: ElbowPathSettings, poses: Pose) -> tuple[Arr
     return arms.elbow, costs
 
 
-def _priced(
+def _pictures(
     problem: SmoothingProblem,
     softness: float,
     trajectory: Trajectory,
-    own: np.ndarray,
     workers: ThreadPoolExecutor,
-    left: np.ndarray,
-    right: np.ndarray,
+    cost: Program,
+    chosen: tuple[np.ndarray, ...] = (),
 ) -> np.ndarray:
-    """Costs (T, A, B), nats, of candidates (T, A) of the left and (T, B) of the right arm.
+    """What the views' pictures cost (T, ...), nats.
 
-    Of a problem that is drawn at a softness, cells.
+    Args:
+        problem: the recording, softened.
+        softness: of what is drawn, cells.
+        trajectory: where the body is.
+        workers: threads.
+        cost: of a batch of views, by a model, softness, poses, cameras, grids, what is chosen.
+        chosen: of each of the T frames with views.
     """
-    rows = np.arange(len(own))[:, None]
-    costs = own[rows, 0, left][:, :, None] + own[rows, 1, right][:, None]
-    row = np.unique(problem.views.frame, return_inverse=True)[1]
-    chosen = tuple(each[row].astype(np.int32) for each in (left, right))
-
-    def call(*batch: Any) -> Array:
-        return _views_costs(problem.model, on_device(softness), *batch)
-
-    each = (*views_of(problem, trajectory._replace(turns_cam=UNTURNED)), chosen)
-    (pictures,) = in_batches(call, each, VIEWS_A_CALL, workers)
+    frames, row = np.unique(problem.views.frame, return_inverse=True)
+    each = views_of(problem, trajectory._replace(turns_cam=UNTURNED))
+    drawn = partial(cost, problem.model, on_device(softness))
+    own = tuple(part[row].astype(np.int32) for part in chosen)
+    (pictures,) = in_batches(drawn, (*each, *own), VIEWS_A_CALL, workers)
+    costs = np.zeros((len(frames), *pictures.shape[1:]))
     np.add.at(costs, row, problem.settings.silhouettes.weight / 2 * pictures)
     return costs
 
 
 @program("full")
-def _views_costs(
-    model: Model,
-    softness: Array,
-    poses: Pose,
-    cameras: Camera,
-    grids: SilhouetteGrids,
-    chosen: tuple[Array, Array],
-) -> Array:
-    """As ``view_costs``, of a batch of views, one after the other."""
+def _pair_costs(model: Model, softness: Array, *views: Any) -> Array:
+    """``view_costs`` of a batch of views, one after the other."""
 
-    def of_view(each: tuple[Pose, Camera, SilhouetteGrids, tuple[Array, Array]]) -> Array:
-        return view_costs(model, softness, *each)
+    def of_view(each: tuple) -> Array:
+        pose, camera, grids, left, right = each
+        return view_costs(model, softness, pose, camera, grids, (left, right))
 
-    return jax.lax.map(of_view, (poses, cameras, grids, chosen))
+    return jax.lax.map(of_view, views)
+
+
+@program("full")
+def _lone_costs(model: Model, softness: Array, *views: Any) -> Array:
+    """``lone_costs`` likewise."""
+    return jax.lax.map(lambda view: lone_costs(model, softness, *view), views)
 
 
 def view_costs(
@@ -250,6 +253,41 @@ def view_costs(
         grids: of the view.
         chosen: candidates of the left arm (A,) and of the right one (B,).
     """
+    rest, arms = _drawn(model, softness, pose, camera, grids, jnp.stack(chosen))
+    away = jnp.minimum(jnp.minimum(arms.away[0], rest)[:, None], arms.away[1])
+    shown = jnp.maximum(arms.shown[0][:, None], arms.shown[1])
+    return _squares(_coverage(away, softness), grids.person) + _squares(shown, grids.forearms)
+
+
+def lone_costs(
+    model: Model, softness: Array, pose: Pose, camera: Camera, grids: SilhouetteGrids
+) -> Array:
+    """The same (2, K) with one arm at each candidate, the other where it is."""
+    every = jnp.tile(jnp.arange(len(TURNS)), (2, 1))
+    rest, arms = _drawn(model, softness, pose, camera, grids, every)
+    # Of each arm the other one.
+    away, shown = (part[::-1, STAY, None] for part in arms)
+    away = jnp.minimum(jnp.minimum(arms.away, rest), away)
+    shown = jnp.maximum(arms.shown, shown)
+    return _squares(_coverage(away, softness), grids.person) + _squares(shown, grids.forearms)
+
+
+class _DrawnArms(NamedTuple):
+    """Candidates of both arms: distances (2, N, C) to their outlines, cells; visible forearms."""
+
+    away: Array
+    shown: Array
+
+
+def _drawn(
+    model: Model,
+    softness: Array,
+    pose: Pose,
+    camera: Camera,
+    grids: SilhouetteGrids,
+    chosen: Array,
+) -> tuple[Array, _DrawnArms]:
+    """Distances (C,) to the rest of the body, cells; candidates (2, N) of the arms."""
     skeleton = model.skeleton
     bones, frames = skeleton.tree.drawn, forward(skeleton, pose)
     kept = ~np.isin(bones, skeleton.tree.bones_in("arm"))
@@ -260,27 +298,24 @@ def view_costs(
     rest, surface = jnp.min(at.distance, 0), nearest_surface(camera, body, at.distance)
     moved, _ = _turned(arms_of(skeleton, frames, model.grips))
 
-    def coverage(away: Array) -> Array:
-        return jax.nn.sigmoid(-away / softness)
+    def of_candidate(arm: Arms) -> _DrawnArms:
+        limb = flesh(arm)
+        at = _touched(grids.region, project_cones(camera, limb), x, y)
+        ends = (depth(camera, end)[:, None] for end in (limb.near, limb.far))
+        _, radius, hand = depth_along(at, *ends)
+        away = jnp.where(at.distance[1] < at.distance[2], radius, hand)
+        visible = unhidden(surface, away)
+        shown = _coverage(jnp.min(at.distance[1:], 0), softness) * visible
+        return _DrawnArms(jnp.min(at.distance, 0), shown)
 
-    def drawn(side: int) -> tuple[Array, Array]:
-        """Of one arm's candidates: distances (N, C) to their outlines, visible forearms."""
+    def of_side(arms: Arms, indices: Array) -> _DrawnArms:
+        return jax.vmap(of_candidate)(_side(arms, indices))
 
-        def of_candidate(index: Array) -> tuple[Array, Array]:
-            limb = flesh(_side(_side(moved, side), index))
-            at = _touched(grids.region, project_cones(camera, limb), x, y)
-            ends = (depth(camera, end)[:, None] for end in (limb.near, limb.far))
-            _, radius, hand = depth_along(at, *ends)
-            away = jnp.where(at.distance[1] < at.distance[2], radius, hand)
-            shown = coverage(jnp.min(at.distance[1:], 0)) * unhidden(surface, away)
-            return jnp.min(at.distance, 0), shown
+    return rest, jax.vmap(of_side)(moved, chosen)
 
-        return jax.vmap(of_candidate)(chosen[side])
 
-    (left, left_shown), (right, right_shown) = drawn(0), drawn(1)
-    away = jnp.minimum(jnp.minimum(left, rest)[:, None], right)
-    shown = jnp.maximum(left_shown[:, None], right_shown)
-    return _squares(coverage(away), grids.person) + _squares(shown, grids.forearms)
+def _coverage(away: Array, softness: Array) -> Array:
+    return jax.nn.sigmoid(-away / softness)
 
 
 def _touched(region: Region, discs: Discs, x: Array, y: Array) -> Touch:

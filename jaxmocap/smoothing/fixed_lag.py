@@ -23,6 +23,7 @@ from collections import deque
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jax import Array
 
@@ -243,7 +244,7 @@ class FixedLagSmoother:
         news, events = self._gather(), self._events
         markers = np.full((PLACES, *events[0].markers_world.shape), np.nan, self.model.dtype)
         markers[: len(events)] = [event.markers_world for event in events]
-        state = self._state or init(self.model, news)
+        state = self._state or self._first_state(news)
         self._state, found = self._advance(state, news, markers, np.bool_(final))
         found = Advanced(*(np.asarray(part) for part in found))
         for event, pose in zip(events, found.poses, strict=False):
@@ -254,6 +255,11 @@ class FixedLagSmoother:
             self._learn_from(event)
         self._events = events[int(found.left) :]
         return given
+
+    def _first_state(self, news: Events) -> WindowState:
+        """On the model's device as what follows will be: else all would compile twice."""
+        (device,) = self.model.skeleton.lengths.devices()
+        return jax.device_put(init(self.model, news), device)
 
     def _give(self, found: Advanced, final: bool) -> list[SmoothedPose]:
         """What has waited long enough, and all of it in the end."""

@@ -85,7 +85,7 @@ class Advanced(NamedTuple):
     arms_spread: Numbers
 
 
-@program("full")
+@program("quick")
 def advance(
     model: Model,
     settings: SmoothingSettings,

@@ -17,9 +17,8 @@ from jaxmocap.body.arms import TURNS, arm_dofs, hang
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, pack, unpack
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
-from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.smoothing.elbow_viterbi import STAY, candidates, turned_angles, view_costs
+from jaxmocap.smoothing.elbow_viterbi import STAY, candidates, lone_costs, turned_angles
 from jaxmocap.smoothing.settings import SmoothingSettings
 
 # Cells over which silhouettes fade, where there are half as many to a side.
@@ -63,12 +62,12 @@ def search_arms(
     one = jax.tree.map(lambda part: part[None], pose)
     arms, own = candidates(model, settings.elbow_path, one)
     points, costs = jnp.stack([arms.elbow, arms.wrist, arms.tip], 3)[0], own[0]
-    coarse = grids.halved()
+    coarse, soft = grids.halved(), jnp.asarray(SOFTNESS, pose.angles.dtype)
 
     def of_camera(c: Array, total: Array) -> Array:
         def seen() -> Array:
             camera, there = jax.tree.map(lambda part: jnp.asarray(part)[c], (model.cameras, coarse))
-            return total + _picture_costs(model, camera, pose, there)
+            return total + lone_costs(model, soft, pose, camera, there)
 
         return jax.lax.cond(shown[c], seen, lambda: total)
 
@@ -95,14 +94,3 @@ def with_arm_there(model: Model, poses: Array, found: ArmSearch) -> Array:
         return pack(pose._replace(angles=pose.angles.at[dofs].set(angles)))
 
     return jax.vmap(one)(poses)
-
-
-def _picture_costs(model: Model, camera: Camera, pose: Pose, grids: SilhouetteGrids) -> Array:
-    """Sums of squares (2, K) of one view with one arm at each candidate, the other where it is."""
-    every, stay = jnp.arange(len(TURNS)), jnp.full(1, STAY)
-    soft = jnp.asarray(SOFTNESS, pose.angles.dtype)
-    left, right = (
-        view_costs(model, soft, pose, camera, grids, chosen).ravel()
-        for chosen in ((every, stay), (stay, every))
-    )
-    return jnp.stack([left, right])
