@@ -45,7 +45,7 @@ from jaxmocap.smoothing.window.events import (
     new_events,
 )
 from jaxmocap.smoothing.window.solving import SOFTNESS
-from jaxmocap.smoothing.window.state import PLACES, Events, WindowState, init
+from jaxmocap.smoothing.window.state import PLACES, EventArrays, WindowState, init
 from jaxmocap.smoothing.window.track import (
     FADED_M,
     Sample,
@@ -126,7 +126,7 @@ class FixedLagSmoother:
         # What may still change; and as arrays, with what the events before tell.
         self._events: list[WindowEvent] = []
         self._state: WindowState | None = None
-        self._news: Events | None = None
+        self._news: EventArrays | None = None
         self._facing = RunningFacing()
         self._marker_pose: np.ndarray | None = None
         self._fading: Fading | None = None
@@ -201,7 +201,7 @@ class FixedLagSmoother:
         waiting = any(step.has_image for step in self._waiting)
         return waiting or any(event.frames for event in self._events)
 
-    def _gather(self) -> Events:
+    def _gather(self) -> EventArrays:
         """The steps that wait, with the poses that are expected there and what cameras saw."""
         dtype, waiting, self._waiting = self.model.dtype, self._waiting, []
         events, measured, since = self._events, [], []
@@ -256,7 +256,7 @@ class FixedLagSmoother:
         self._events = events[int(found.left) :]
         return given
 
-    def _first_state(self, news: Events) -> WindowState:
+    def _first_state(self, news: EventArrays) -> WindowState:
         """On the model's device as what follows will be: else all would compile twice."""
         (device,) = self.model.skeleton.lengths.devices()
         return jax.device_put(init(self.model, news), device)

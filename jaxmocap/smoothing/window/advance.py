@@ -4,7 +4,7 @@ Events come in, all events of the window are moved to where they cost least toge
 marginal prior, and the oldest ones are condensed into that prior and leave. ``jit``, ``vmap`` over
 people and ``lax.scan`` over a recording's events go through it.
 
-INPUTS: a Model, settings, a WindowState, Events. OUTPUTS: the next state, poses, deviations, which
+INPUTS: a Model, settings, a WindowState, EventArrays. OUTPUTS: the next state, poses, deviations, which
 events are final.
 """
 
@@ -34,7 +34,7 @@ from jaxmocap.smoothing.window.state import (
     MOST_KEPT,
     SURE_EVERY,
     Drawn,
-    Events,
+    EventArrays,
     WindowState,
     later_rows,
 )
@@ -90,7 +90,7 @@ def advance(
     model: Model,
     settings: SmoothingSettings,
     state: WindowState,
-    news: Events,
+    news: EventArrays,
     markers_world: Array,
     is_last: Array,
 ) -> tuple[WindowState, Advanced]:
@@ -125,7 +125,7 @@ def advance(
     return _shortened(weighed, state, window, left), advanced
 
 
-def _pace(pace: Array, events: Events) -> Array:
+def _pace(pace: Array, events: EventArrays) -> Array:
     """() seconds between events, as long as it is about the same."""
     later = events.are_there & (jnp.arange(len(events.since)) > 0)
     steps = jnp.where(later, jnp.minimum(events.since, LONGEST_STEP_S), 0.0)

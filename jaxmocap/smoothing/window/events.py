@@ -22,7 +22,7 @@ from jaxmocap.evidence.appearance.running import NO_GRIDS, MeasuredFrame
 from jaxmocap.evidence.ground import ANKLES
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.rotations import quaternion_to_matrix
-from jaxmocap.smoothing.window.state import NEW, Events
+from jaxmocap.smoothing.window.state import NEW, EventArrays
 
 # A frame of each camera, None where there is no new one.
 Images = Sequence[np.ndarray | None] | None
@@ -147,8 +147,8 @@ def new_events(
     events: Sequence[WindowEvent],
     measured: Sequence[Measurements],
     since: Sequence[float],
-    before: Events | None,
-) -> Events:
+    before: EventArrays | None,
+) -> EventArrays:
     """Events that come into a window, as arrays; ``NEW`` rows, of which the first are there.
 
     Args:
@@ -172,7 +172,7 @@ def new_events(
                 shown[row, camera] = True
                 jax.tree.map(partial(_put, (row, camera)), grids, frame.grids)
     stacked = jax.tree.map(lambda *parts: np.stack(parts)[rows], *measured)
-    return Events(
+    return EventArrays(
         np.int32(len(events)), np.asarray(since, dtype)[rows],
         np.stack([np.concatenate(event.pose) for event in events]).astype(dtype)[rows],
         stacked, shown, grids,

@@ -5,7 +5,7 @@ would contradict one another, and the motion prior would make evidence of that. 
 of an event cost is a quadratic about the pose where they were drawn; while the event stays near by,
 nothing is drawn again.
 
-INPUTS: a Model, settings, Events, a marginal prior. OUTPUTS: a Window.
+INPUTS: a Model, settings, EventArrays, a marginal prior. OUTPUTS: a Window.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ from jaxmocap.smoothing.levenberg_marquardt import PRIORS_SHARE
 from jaxmocap.smoothing.linearise import FramesFit, frames_fit
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.window.elimination import Evidence, MarginalPrior, eliminate, steps_of
-from jaxmocap.smoothing.window.state import Drawn, Events
+from jaxmocap.smoothing.window.state import Drawn, EventArrays
 
 # Cells over which silhouettes fade.
 SOFTNESS = 0.8
@@ -67,7 +67,7 @@ class Window(NamedTuple):
 def solve(
     model: Model,
     settings: SmoothingSettings,
-    events: Events,
+    events: EventArrays,
     drawn: Drawn | None,
     marginal: MarginalPrior,
     steps: tuple[Array, Array],
@@ -115,7 +115,7 @@ def solve(
 
 def evidence_of(
     settings: SmoothingSettings,
-    events: Events,
+    events: EventArrays,
     fit: FramesFit,
     drawn: Drawn | None,
     share: Array | float = 1.0,
@@ -133,7 +133,7 @@ def evidence_of(
     return Evidence(hessian, gradient, fit.points, fit.jacobian, stencil)
 
 
-def _moved(model: Model, settings: SmoothingSettings, events: Events, now: Window) -> Window:
+def _moved(model: Model, settings: SmoothingSettings, events: EventArrays, now: Window) -> Window:
     """All events by the equations' steps, as far as the derivatives are to be trusted."""
     evidence = evidence_of(settings, events, now.fit, now.drawn)
     scale, origins = _scale(events, now.fit, evidence), unpack(now.poses)
@@ -159,7 +159,7 @@ def _moved(model: Model, settings: SmoothingSettings, events: Events, now: Windo
     return now._replace(steps=steps, poses=poses, misplaced=misplaced)
 
 
-def _scale(events: Events, fit: FramesFit, evidence: Evidence) -> Array:
+def _scale(events: EventArrays, fit: FramesFit, evidence: Evidence) -> Array:
     """(N,) what damping holds each unknown back by: the mean curvature, the motion's by a share."""
     own = jnp.diagonal(fit.hessian, axis1=1, axis2=2)
     ties = sum(jnp.roll(evidence.stencil[:, k] ** 2, k) for k in range(REACH + 1))
@@ -168,7 +168,7 @@ def _scale(events: Events, fit: FramesFit, evidence: Evidence) -> Array:
     return jnp.sum(each, 0) / events.filled.astype(own.dtype)
 
 
-def _cost(settings: SmoothingSettings, events: Events, window: Window) -> Array:
+def _cost(settings: SmoothingSettings, events: EventArrays, window: Window) -> Array:
     """() of all events where their steps lead, as far as the quadratics tell."""
     fit, drawn, _, steps, *_ = window
     each = fit.cost + _rise(fit.hessian, fit.gradient, steps)
@@ -184,7 +184,9 @@ def _rise(hessian: Array, gradient: Array, steps: Array) -> Array:
     return jnp.sum(steps * (along + 2 * gradient), 1)
 
 
-def _fits(model: Model, settings: SmoothingSettings, events: Events, poses: Array) -> FramesFit:
+def _fits(
+    model: Model, settings: SmoothingSettings, events: EventArrays, poses: Array
+) -> FramesFit:
     """Of the terms of all events, about packed poses (E, 7 + D)."""
     nothing = jnp.zeros(0, poses.dtype)
 
@@ -218,7 +220,7 @@ def _in_parts(call: Callable, count: Array, stacked: tuple) -> Any:
 def _drawn_again(
     model: Model,
     settings: Silhouettes,
-    events: Events,
+    events: EventArrays,
     drawn: Drawn,
     fit: FramesFit,
     poses: Array,
@@ -240,7 +242,7 @@ def _drawn_again(
 
 
 def _costs(
-    model: Model, settings: Silhouettes, events: Events, i: Array, pose: Pose
+    model: Model, settings: Silhouettes, events: EventArrays, i: Array, pose: Pose
 ) -> tuple[Array, Array, Array]:
     """What one event's silhouettes cost at a pose, J^T J (N, N) and J^T r (N,)."""
     soft = jnp.asarray(SOFTNESS, pose.angles.dtype)

@@ -31,7 +31,7 @@ MOST_KEPT = PLACES - NEW
 SURE_EVERY = 5
 
 
-class Events(NamedTuple):
+class EventArrays(NamedTuple):
     """E events, the first K of which are there.
 
     Attributes:
@@ -50,7 +50,7 @@ class Events(NamedTuple):
     shown: Numbers
     grids: SilhouetteGrids | None
 
-    def joined(self, news: "Events") -> "Events":
+    def joined(self, news: "EventArrays") -> "EventArrays":
         """With ``NEW`` others behind; there must be room."""
 
         def behind(own: Array, other: Array) -> Array:
@@ -60,7 +60,7 @@ class Events(NamedTuple):
         joined = jax.tree.map(lambda own, other: behind(own, other) if own.size else own, *alone)
         return joined._replace(filled=self.filled + news.filled)
 
-    def after(self, left: Array) -> "Events":
+    def after(self, left: Array) -> "EventArrays":
         """Without the first so many."""
         later = later_rows(self._replace(filled=jnp.zeros(0)), left)
         return later._replace(filled=self.filled - left)
@@ -139,7 +139,7 @@ class WindowState(NamedTuple):
         stated: () how often poses were given out since.
     """
 
-    events: Events
+    events: EventArrays
     drawn: Drawn | None
     given: Array
     last_given: Array
@@ -152,7 +152,7 @@ class WindowState(NamedTuple):
     stated: Array
 
 
-def init(model: Model, like: Events) -> WindowState:
+def init(model: Model, like: EventArrays) -> WindowState:
     """A window without events.
 
     Args:
