@@ -435,6 +435,23 @@ def test_without_a_camera_poses_are_smoothed_a_tenth_of_a_second_late():
     assert np.isfinite(deviations).all() and (deviations[:, ELBOWS].max(-1) > 0.02).all()
 
 
+@pytest.mark.parametrize("camera", [None, 0])
+def test_samples_that_jump_hundreds_of_times_a_second_find_room(camera):
+    """Each is an event, and a window has room for few: what comes is never refused."""
+    smoother, count, shown = smoother_of(), 40, images()
+    if camera is None:
+        smoother = FixedLagSmoother(Model.create(PERSON, MARKERS), SmoothingSettings())
+    out = []
+    for i in range(count):
+        there, image = markers()[0] + np.array([0.0, 0.4 * (i % 2), 0.0]), shown[i % 8]
+        # With a camera the first events have frames, and then none has.
+        seen = None if camera is None else [image if i < 20 else None]
+        out += smoother.step(i * 0.002, there, seen, report(i % COUNT))
+    out += smoother.flush()
+    assert [each.number for each in out] == list(range(count))
+    assert all(np.isfinite(part).all() for part in poses_of(out))
+
+
 # Against the whole recording ---------------------------------------------------------------------
 
 

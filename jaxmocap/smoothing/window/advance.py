@@ -4,8 +4,8 @@ Events come in, all events of the window are moved to where they cost least toge
 marginal prior, and the oldest ones are condensed into that prior and leave. ``jit``, ``vmap`` over
 people and ``lax.scan`` over a recording's events go through it.
 
-INPUTS: a Model, settings, a WindowState, EventArrays. OUTPUTS: the next state, poses, deviations, which
-events are final.
+INPUTS: a Model, settings, a WindowState, new events. OUTPUTS: the next state, poses, deviations,
+which events are final.
 """
 
 from typing import NamedTuple
@@ -32,6 +32,7 @@ from jaxmocap.smoothing.window.elimination import (
 from jaxmocap.smoothing.window.solving import Window, evidence_of, solve
 from jaxmocap.smoothing.window.state import (
     MOST_KEPT,
+    NEW,
     SURE_EVERY,
     Drawn,
     EventArrays,
@@ -107,7 +108,8 @@ def advance(
     """
     events = state.events.joined(news)
     events = events._replace(measured={**events.measured, "markers": markers_world})
-    state = state._replace(events=events, pace=_pace(state.pace, events))
+    drawn = state.drawn and state.drawn.without_rows(state.events.filled, NEW)
+    state = state._replace(events=events, drawn=drawn, pace=_pace(state.pace, events))
     weighed = with_lasting(settings, (state.pace * LASTING_HZ) ** -0.5)
     state, window = _solved(model, weighed, state)
     first, given, left = _schedule(model, state, is_last)

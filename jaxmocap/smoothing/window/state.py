@@ -116,6 +116,15 @@ class Drawn(NamedTuple):
         unknown = jnp.full((events, 3 * len(LANDMARKS)), jnp.nan, dtype)
         return cls(jnp.zeros(events, dtype), square, row, unknown, row)
 
+    def without_rows(self, first: Array, count: int) -> "Drawn":
+        """The same, so many rows as if nothing had been drawn there."""
+        never = Drawn.never(count, self.step.shape[1], self.step.dtype)
+
+        def placed(own: Array, other: Array) -> Array:
+            return jax.lax.dynamic_update_slice_in_dim(own, other, first, 0)
+
+        return jax.tree.map(placed, self, never)
+
     def about(self, steps: Array) -> "Drawn":
         """The same of poses that moved by steps (E, N)."""
         return self._replace(step=self.step - steps)
