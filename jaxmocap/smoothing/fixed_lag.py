@@ -26,6 +26,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jax import Array
+from threadpoolctl import ThreadpoolController
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, unpack
@@ -118,6 +119,7 @@ class FixedLagSmoother:
             for index in range(model.camera_count)
         ]
         self._no_goals = np.full((2, 3), np.nan, model.dtype)
+        self._blas = ThreadpoolController()
         self._count = 0
         self._begin()
 
@@ -245,8 +247,10 @@ class FixedLagSmoother:
         markers = np.full((PLACES, *events[0].markers_world.shape), np.nan, self.model.dtype)
         markers[: len(events)] = [event.markers_world for event in events]
         state = self._state or self._first_state(news)
-        self._state, found = self._advance(state, news, markers, np.bool_(final))
-        found = Advanced(*(np.asarray(part) for part in found))
+        # Matrices are small: BLAS's threads would only wait for one another.
+        with self._blas.limit(limits=1, user_api="blas"):
+            self._state, found = self._advance(state, news, markers, np.bool_(final))
+            found = Advanced(*(np.asarray(part) for part in found))
         for event, pose in zip(events, found.poses, strict=False):
             event.pose = unpack(pose)
         given = self._give(found, final)
