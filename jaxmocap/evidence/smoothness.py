@@ -52,11 +52,6 @@ class Smoothness(NamedTuple):
             total[k : k + len(residuals)] += self.coefficients[:, k, None, None] * residuals
         return total * self.weights[:, None]
 
-    def first(self, frames: int) -> "Smoothness":
-        """That of the first so many frames alone."""
-        cut = self.coefficients[: max(0, frames - REACH)]
-        return self._replace(frames=frames, coefficients=cut)
-
     def ties(self, ahead: int) -> np.ndarray:
         """How strongly (T,), but for the weights, frames are tied to those ``ahead`` of them."""
         total = np.zeros(self.frames)
@@ -64,10 +59,6 @@ class Smoothness(NamedTuple):
             there = slice(k, k + len(self.coefficients))
             total[there] += self.coefficients[:, k] * self.coefficients[:, k + ahead]
         return total
-
-    def uniform_ties(self, ahead: int) -> np.ndarray:
-        """How strongly (T,) any coordinate is tied, where all have the same deviations."""
-        return self.ties(ahead) * self.weights[0] ** 2
 
     def block_rows(self, jacobian: np.ndarray) -> np.ndarray:
         """Its Hessian by the (T, M, N) derivative of the points, as ``banded`` keeps it."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from scipy.linalg import cho_solve_banded, cholesky_banded, get_lapack_funcs
+from scipy.linalg import cho_solve_banded, cholesky_banded
 
 # Frames that are packed at a time: what the processor's cache holds.
 FRAMES = 32
@@ -73,14 +73,6 @@ def factorise(rows: np.ndarray, ridge: np.ndarray | float = 0.0) -> Factor:
     return Factor(band.T, len(rows))
 
 
-def forward_factored(factor: Factor, right: np.ndarray) -> np.ndarray:
-    """(T * N,) y of L y = right, (T, N)."""
-    columns = factor.columns
-    (triangular,) = get_lapack_funcs(("tbtrs",), (columns,))
-    answer, _ = triangular(columns.T, right.reshape(-1, 1), uplo="L")
-    return answer[:, 0]
-
-
 def solve_factored(factor: Factor, right: np.ndarray) -> np.ndarray:
     """Solutions (T, N, K) of K right-hand sides (T, N, K)."""
     if not right.size:
@@ -90,23 +82,19 @@ def solve_factored(factor: Factor, right: np.ndarray) -> np.ndarray:
     return cho_solve_banded(band, flat, overwrite_b=True, check_finite=False).reshape(right.shape)
 
 
-def inverse_blocks(factor: Factor, first: int = 0) -> np.ndarray:
+def inverse_blocks(factor: Factor) -> np.ndarray:
     """Diagonal blocks (T, N, N) of the inverse, from the last frame to the first (Takahashi).
 
     Given what follows it, a frame is U times the next r frames plus noise that is independent of
     them; each block is a sum of positive parts, so that no variance can turn negative.
-
-    Args:
-        factor: of the matrix.
-        first: frames before it are not asked for; their blocks are 0.
     """
     width = factor.columns.shape[1]
     size = len(factor.columns) // factor.frames
     blocks, reach = np.zeros((factor.frames, size, size)), width - size
     # Of a frame and what follows it.
     joint = np.zeros((width, width))
-    for last in range(factor.frames, first, -FRAMES):
-        some = range(max(first, last - FRAMES), last)
+    for last in range(factor.frames, 0, -FRAMES):
+        some = range(max(0, last - FRAMES), last)
         upper = unpack_band(factor.columns[some.start * size : last * size], len(some))
         own = np.linalg.inv(upper[:, :, :size])
         U, noise = own @ upper[:, :, size:], own @ own.swapaxes(1, 2)
