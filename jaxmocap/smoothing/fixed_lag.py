@@ -207,7 +207,7 @@ class FixedLagSmoother:
         """The steps that wait, with the poses that are expected there and what cameras saw."""
         dtype, waiting, self._waiting = self.model.dtype, self._waiting, []
         events, measured, since = self._events, [], []
-        known = len(events)
+        first = len(events)
         if waiting:
             alone = [np.concatenate(step.report.marker_pose).astype(dtype) for step in waiting]
             last = np.concatenate(events[-1].pose).astype(dtype) if events else alone[0]
@@ -225,7 +225,7 @@ class FixedLagSmoother:
                 frames = self._frames(step.images, there.pose)
                 events.append(WindowEvent(step.number, step.time, markers, there.pose, frames))
             update_frames_markers(events, self._samples)
-        self._news = new_events(self.model, events[known:], measured, since, self._news)
+        self._news = new_events(self.model, events[first:], measured, since, self._news)
         return self._news
 
     def _frames(self, images: Images, pose: Pose) -> list[WindowFrame]:

@@ -445,8 +445,8 @@ def test_samples_that_jump_hundreds_of_times_a_second_find_room(camera):
     for i in range(count):
         there, image = markers()[0] + np.array([0.0, 0.4 * (i % 2), 0.0]), shown[i % 8]
         # With a camera the first events have frames, and then none has.
-        seen = None if camera is None else [image if i < 20 else None]
-        out += smoother.step(i * 0.002, there, seen, report(i % COUNT))
+        images_now = None if camera is None else [image if i < 20 else None]
+        out += smoother.step(i * 0.002, there, images_now, report(i % COUNT))
     out += smoother.flush()
     assert [each.number for each in out] == list(range(count))
     assert all(np.isfinite(part).all() for part in poses_of(out))
@@ -498,19 +498,19 @@ def stacked(*trees):
 def test_several_people_go_through_a_scan_at_once_as_each_does_alone():
     people, inputs, states, found = (smoother_of(), smoother_of()), [], [], []
     for away, smoother in enumerate(people):
-        own, seen, out = smoother._advance, [], []
+        own, taken, out = smoother._advance, [], []
 
-        def kept(state, *rest, own=own, seen=seen, out=out):
+        def kept(state, *rest, own=own, taken=taken, out=out):
             after, advanced = own(state, *rest)
-            seen.append(rest)
+            taken.append(rest)
             out.append(np.asarray(advanced.poses[rest[0].filled - 1]))
             return after, advanced
 
         smoother._advance = kept
         for i in range(6):
             smoother.step(TIMES[i], markers()[i] + 0.02 * away, [images()[i]], report(i))
-        inputs.append(stacked(*seen))
-        states.append(init(smoother.model, seen[0][0]))
+        inputs.append(stacked(*taken))
+        states.append(init(smoother.model, taken[0][0]))
         found.append(np.stack(out))
     both, starts = (
         jax.tree.map(lambda *parts: np.stack(parts), *each) for each in (inputs, states)

@@ -24,7 +24,6 @@ from jaxmocap.smoothing.settings import LASTING_HZ, LONGEST_STEP_S, SmoothingSet
 from jaxmocap.smoothing.uncertainty import landmark_deviations
 from jaxmocap.smoothing.window.arm_search import search_arms, with_arm_there
 from jaxmocap.smoothing.window.elimination import (
-    Evidence,
     MarginalPrior,
     eliminate,
     point_variances,
@@ -255,7 +254,7 @@ def _shortened(
     gradients = jnp.stack([window.marginal.gradient, pull, pull])
 
     def condensed(share: Array, hessian: Array, gradient: Array) -> MarginalPrior:
-        evidence: Evidence = evidence_of(settings, events, window.fit, window.drawn, share)
+        evidence = evidence_of(settings, events, window.fit, window.drawn, share)
         marginal = MarginalPrior(hessian, gradient)
         return eliminate(evidence, marginal, jnp.zeros(size, dtype), left).rest
 

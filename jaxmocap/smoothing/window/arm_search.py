@@ -65,11 +65,11 @@ def search_arms(
     coarse, soft = grids.halved(), jnp.asarray(SOFTNESS, pose.angles.dtype)
 
     def of_camera(c: Array, total: Array) -> Array:
-        def seen() -> Array:
+        def priced() -> Array:
             camera, there = jax.tree.map(lambda part: jnp.asarray(part)[c], (model.cameras, coarse))
             return total + lone_costs(model, soft, pose, camera, there)
 
-        return jax.lax.cond(shown[c], seen, lambda: total)
+        return jax.lax.cond(shown[c], priced, lambda: total)
 
     squares = jax.lax.fori_loop(0, model.camera_count, of_camera, jnp.zeros_like(costs))
     pictures = squares / (2 * settings.silhouettes.deviation**2)

@@ -156,7 +156,7 @@ def steps_of(eliminated: Eliminated, count: Array) -> Array:
 
 
 def point_variances(eliminated: Eliminated, jacobian: Array, count: Array, chosen: Array) -> Array:
-    """Variances (M,) of one event's points, given all events, the last of which is the first seen.
+    """Variances (M,) of one event's points, given all events.
 
     Given what follows it, an event is a multiple of the next two events and noise that does not
     depend on them (Takahashi); each block is a sum of positive parts.

@@ -28,8 +28,6 @@ from jaxmocap.smoothing.window.state import NEW, EventArrays
 Images = Sequence[np.ndarray | None] | None
 # Of what an ``Expected`` holds beside the pose.
 _EXPECTED_SHAPES = np.empty(2), np.empty(2), np.empty((2, 3))
-# Events per call, so that they compile once.
-EXPECTED_A_CALL = 1
 
 
 class StepReported(Protocol):
@@ -94,27 +92,20 @@ def expected_at(
         alone: their pose at each event.
     """
     shapes, result = Expected(unpack(last), *_EXPECTED_SHAPES), []
-    for first in range(0, len(alone), EXPECTED_A_CALL):
-        some = alone[first : first + EXPECTED_A_CALL]
-        filled = [*some, *[some[-1]] * (EXPECTED_A_CALL - len(some))]
-        vectors = np.asarray(_expected(skeleton, last, np.stack([before, *filled])))
-        result += [unpacked(vector, shapes) for vector in vectors[: len(some)]]
-        last, before = np.concatenate(result[-1].pose), some[-1]
+    for now in alone:
+        result.append(unpacked(np.asarray(_expected(skeleton, last, before, now)), shapes))
+        last, before = np.concatenate(result[-1].pose), now
     return result
 
 
 @program("quick")
-def _expected(skeleton: Skeleton, last: Array, alone: Array) -> Array:
-    """Packed ``Expected`` (E, ...) of the markers' poses (1 + E, 7 + D), of which one is before."""
-
-    def one(pose: Pose, pair: tuple[Array, Array]) -> tuple[Pose, Array]:
-        before, now = map(unpack, pair)
-        moved = retract(pose, difference(now, before))
-        R = quaternion_to_matrix(now.quaternion)
-        ankles = landmarks(skeleton, now)[ANKLES]
-        return moved, packed(Expected(moved, R[:2, 0], R[:2, 2], ankles))
-
-    return jax.lax.scan(one, unpack(last), (alone[:-1], alone[1:]))[1]
+def _expected(skeleton: Skeleton, last: Array, before: Array, now: Array) -> Array:
+    """Packed ``Expected``, of the last pose and of the markers' there and now, packed (7 + D,)."""
+    there = unpack(now)
+    moved = retract(unpack(last), difference(there, unpack(before)))
+    R = quaternion_to_matrix(there.quaternion)
+    ankles = landmarks(skeleton, there)[ANKLES]
+    return packed(Expected(moved, R[:2, 0], R[:2, 2], ankles))
 
 
 # A camera, what was measured in its frame, width and height of that.

@@ -248,14 +248,14 @@ def _costs(
     soft = jnp.asarray(SOFTNESS, pose.angles.dtype)
 
     def of_camera(c: Array, total: tuple) -> tuple:
-        def seen() -> tuple:
+        def added() -> tuple:
             grids = jax.tree.map(lambda part: part[i, c], events.grids)
             camera = jax.tree.map(lambda part: part[c], model.cameras)
             fit = silhouette_fit(model.skeleton, None, pose, camera, grids, soft)
             weighed = jax.tree.map(lambda own: own / settings.deviation**2, fit)
             return jax.tree.map(jnp.add, total, weighed)
 
-        return jax.lax.cond(jnp.asarray(events.shown)[i, c], seen, lambda: total)
+        return jax.lax.cond(jnp.asarray(events.shown)[i, c], added, lambda: total)
 
     size, dtype = 6 + pose.angles.size, pose.angles.dtype
     nothing = jnp.zeros((), dtype), jnp.zeros((size, size), dtype), jnp.zeros(size, dtype)
