@@ -29,6 +29,27 @@ class Segment(NamedTuple):
     drawn: bool = True
 
 
+# Of the links' transforms, the world's own is first, then the root's.
+ROOT_LINK = 1
+
+
+class Links(NamedTuple):
+    """Turning by one degree of freedom each, or by none: what transforms are composed along.
+
+    Attributes:
+        bones: (N,) that those beside the world and the root belong to: of each degree of freedom,
+            then of each bone without any.
+        begins: (N,) whether one is the first of its bone.
+        last: (B,) each bone's last link, which carries it.
+        doublings: (K, 2 + N) ancestors at distance 1, 2, 4, ... of each; the world past the root.
+    """
+
+    bones: np.ndarray
+    begins: np.ndarray
+    last: np.ndarray
+    doublings: np.ndarray
+
+
 # Indices that are kept are int32: JAX remembers an int64 array as it was first seen, and a change
 # of precision between two traces would break the second.
 @dataclass(frozen=True)
@@ -129,13 +150,23 @@ class Tree:
         return slots
 
     @cached_property
-    def doublings(self) -> np.ndarray:
-        """Ancestors (K, B) at distance 1, 2, 4, ... of every bone; -1 past the root."""
-        rounds, ancestors = [], np.array(self.parents, np.int32)
-        while (ancestors >= 0).any():
+    def links(self) -> Links:
+        """One for the world, the root, each degree of freedom, and each bone without any."""
+        stiff = [i for i in range(len(self.bones)) if i not in self.dof_bones]
+        bones = (*self.dof_bones, *stiff)
+        # Later ones of a bone take the place of earlier ones.
+        last = {bone: link for link, bone in enumerate(bones, ROOT_LINK + 1)}
+        parents, before = [], {}
+        for link, bone in enumerate(bones, ROOT_LINK + 1):
+            parents.append(before.get(bone, last.get(self.parents[bone], ROOT_LINK)))
+            before[bone] = link
+        begins = np.array([bone not in bones[:place] for place, bone in enumerate(bones)])
+        rounds, ancestors = [], np.array([0, 0, *parents], np.int32)
+        while ancestors.any():
             rounds.append(ancestors)
-            ancestors = np.where(ancestors >= 0, ancestors[ancestors], -1)
-        return np.stack(rounds)
+            ancestors = ancestors[ancestors]
+        carriers = np.array([last[bone] for bone in range(len(self.bones))], np.int32)
+        return Links(np.array(bones, np.int32), begins, carriers, np.stack(rounds))
 
 
 def with_dofs(tree: Tree, joints: list[dict], added: bool = False) -> Tree:

@@ -31,11 +31,11 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.compilation.arguments import check_kind, floating
 from jaxmocap.evidence.expansion import expanded
 from jaxmocap.evidence.shapes import checked_measurements, checked_pose
-from jaxmocap.evidence.smoothness import second_differences
+from jaxmocap.evidence.smoothness import REACH, second_differences
 from jaxmocap.evidence.terms import Measurements, residuals
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.smoothing.settings import SmoothingSettings, weighed_by_time
-from jaxmocap.solvers.block_bands import BlockBands, solve_block_banded
+from jaxmocap.smoothing.window.elimination import Evidence, MarginalPrior, eliminate, steps_of
 from jaxmocap.solvers.descent import tree_where
 from jaxmocap.solvers.optimum import following
 
@@ -47,8 +47,6 @@ STEPS, DAMPING, LARGEST_DAMPING, EASED, RAISED = 60, 1e-2, 1e9, 0.1, 10.0
 # The last step lowers the cost by less than so many precisions, nats, and by less than what
 # rounding does to it; and its largest entry is less than so many roots of the precision.
 LITTLE, SHORT = 100.0, 30.0
-# Curvature that every unknown has at least.
-FLOOR = 1e-6
 
 
 class Events(NamedTuple):
@@ -114,12 +112,21 @@ class _Problem(NamedTuple):
 
 
 class _Slopes(NamedTuple):
-    """The cost, its gradient (T, N), Gauss-Newton's Hessian and what that leaves out (T, N, N)."""
+    """The cost about poses.
+
+    Attributes:
+        cost: () half the sum of squares.
+        gradient: (T, N) the cost's.
+        hessian: (T, N, N) Gauss-Newton's of the events' own terms.
+        bending: (T, N, N) what that leaves out, and what landmarks bend by.
+        jacobian: (T, M, N) of the landmarks, which the prior ties.
+    """
 
     cost: Array
     gradient: Array
-    hessian: BlockBands
+    hessian: Array
     bending: Array
+    jacobian: Array
 
 
 def smooth_events(model: Model, settings: SmoothingSettings, events: Events) -> SmoothMotion:
@@ -148,8 +155,9 @@ def _moved(problem: _Problem, poses: Pose) -> Pose:
     still = jnp.zeros_like(slopes.gradient)
     gradient = jax.grad(lambda step: _cost(problem, retract(poses, step)))(still)
     change = gradient - jax.lax.stop_gradient(gradient)
-    _, hessian = _solved(slopes, jnp.zeros((), change.dtype))
-    return retract(poses, -solve_block_banded(jax.lax.stop_gradient(hessian), change))
+    _, evidence = _step(problem, slopes, jnp.zeros((), change.dtype))
+    evidence = jax.lax.stop_gradient(evidence)._replace(gradient=change)
+    return retract(poses, _solved(evidence, jnp.zeros((), change.dtype)))
 
 
 def _cost(problem: _Problem, poses: Pose) -> Array:
@@ -170,18 +178,6 @@ def _accelerations(problem: _Problem, points: Array) -> Array:
     c = _stencil(problem)
     each = [c[:, k, None] * points[k : len(points) - 2 + k] for k in range(3)]
     return each[0] + each[1] + each[2]
-
-
-def _ties(problem: _Problem) -> list[Array]:
-    """(T,) how each event's points are tied to themselves, to the next and to the second next."""
-    c, count = _stencil(problem), len(problem.times)
-    each = []
-    for ahead in range(3):
-        total = jnp.zeros(count, c.dtype)
-        for k in range(3 - ahead):
-            total = total.at[k : count - 2 + k].add(c[:, k] * c[:, k + ahead])
-        each.append(total)
-    return each
 
 
 def _slopes(problem: _Problem, poses: Pose) -> _Slopes:
@@ -213,41 +209,41 @@ def _slopes(problem: _Problem, poses: Pose) -> _Slopes:
         poses, problem.measured, frames, points, pull
     )
     cost = (jnp.sum(squares) + jnp.sum(accelerations**2)) / 2
-    return _Slopes(cost, slope, _with_prior(problem, own, by_points), bending)
+    return _Slopes(cost, slope, own, bending, by_points)
 
 
-def _with_prior(problem: _Problem, hessian: Array, jacobian: Array) -> BlockBands:
-    """Events' own Hessians (T, N, N) and what the prior ties, by the points' (T, M, N)."""
-    blocks = []
-    for ahead, ties in enumerate(_ties(problem)):
-        there = jnp.roll(jacobian, -ahead, 0)
-        tied = jnp.einsum("tpn,tpm->tnm", jacobian, there, precision=HIGHEST)
-        blocks.append(ties[:, None, None] * tied)
-    return BlockBands(hessian + blocks[0], *blocks[1:])
+def _step(problem: _Problem, slopes: _Slopes, damping: Array) -> tuple[Array, Evidence]:
+    """The damped step (T, N), and what it solves: Newton's equations, or Gauss-Newton's.
 
-
-def _solved(slopes: _Slopes, damping: Array) -> tuple[Array, BlockBands]:
-    """The gradient (T, N) by the inverse Hessian, damped, and that; Gauss-Newton's where it must.
-
-    Where the full Hessian is not positive it is of no minimum.
+    Where Newton's Hessian is not positive it is of no minimum.
     """
-    more = (damping + FLOOR) * jnp.eye(slopes.gradient.shape[1], dtype=damping.dtype)
+    ties = jnp.pad(_stencil(problem), ((0, REACH), (0, 0)))
+    # The prior's own slope is in the gradient.
+    no_points = jnp.zeros(slopes.jacobian.shape[:2], damping.dtype)
 
-    def damped(curved: Array) -> BlockBands:
-        own = slopes.hessian.own + curved * slopes.bending + more
-        return slopes.hessian._replace(own=own)
+    def about(curved: Array) -> Evidence:
+        hessian = slopes.hessian + curved * slopes.bending
+        return Evidence(hessian, slopes.gradient, no_points, slopes.jacobian, ties)
 
     def unsound(carry: tuple[Array, Array]) -> Array:
-        curved, solved = carry
-        return (curved > 0) & ~jnp.all(jnp.isfinite(solved))
+        curved, step = carry
+        return (curved > 0) & ~jnp.all(jnp.isfinite(step))
 
     def solve(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         curved = carry[0] - 1
-        return curved, solve_block_banded(damped(curved), slopes.gradient)
+        return curved, _solved(about(curved), damping)
 
     first = jnp.full((), 2.0, damping.dtype), jnp.full_like(slopes.gradient, jnp.nan)
-    curved, solved = jax.lax.while_loop(unsound, solve, first)
-    return solved, damped(curved)
+    curved, step = jax.lax.while_loop(unsound, solve, first)
+    return step, about(curved)
+
+
+def _solved(evidence: Evidence, damping: Array) -> Array:
+    """The step (T, N); not finite where the Hessian is not positive."""
+    count, size = evidence.gradient.shape
+    nothing = MarginalPrior.none(size, damping.dtype)
+    eliminated = eliminate(evidence, nothing, jnp.full(size, damping), count, attempts=1)
+    return steps_of(eliminated, count)
 
 
 class _Steps(NamedTuple):
@@ -275,7 +271,7 @@ def _descended(problem: _Problem, start: Pose) -> Pose:
         lower = first | (there.cost <= now.slopes.cost * (1 + 10 * precision))
         best, slopes = tree_where(lower, (now.tried, there), (now.best, now.slopes))
         damping = now.damping * jnp.where(first, 1.0, jnp.where(lower, EASED, RAISED))
-        move = -_solved(slopes, damping)[0]
+        move, _ = _step(problem, slopes, damping)
         short = jnp.max(jnp.abs(move)) < SHORT * jnp.sqrt(precision)
         short &= jnp.abs(jnp.vdot(slopes.gradient, move)) < precision * (LITTLE + slopes.cost)
         return _Steps(now.made + 1, best, slopes, retract(best, move), damping, short)

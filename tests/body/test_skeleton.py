@@ -124,15 +124,17 @@ def test_the_root_carries_everything_and_a_joint_what_hangs_on_it(skeleton):
     assert {tree.bones[i] for i in np.flatnonzero(elbow)} == {"radius_r", "hand_r"}
 
 
-def test_doublings_are_ancestors_at_powers_of_two(skeleton):
-    tree = skeleton.tree
-    for power, ancestors in enumerate(tree.doublings):
-        for i, name in enumerate(tree.bones):
-            chain = tree.chain(name)
-            distance = 2**power
-            expected = chain[-1 - distance] if len(chain) > distance else -1
-            assert ancestors[i] == expected
-    assert 2 ** len(tree.doublings) >= max(len(tree.chain(name)) for name in tree.bones)
+def test_doublings_are_links_at_powers_of_two_up_the_chain(skeleton):
+    tree, links, root = skeleton.tree, skeleton.tree.links, 1
+    for bone in tree.bones:
+        own = [2 + np.flatnonzero(links.bones == i) for i in tree.chain(bone)]
+        chain = [root, *np.concatenate(own)]
+        assert links.last[tree.bone(bone)] == chain[-1]
+        for place, link in enumerate(chain):
+            for power, ancestors in enumerate(links.doublings):
+                above = place - 2**power
+                assert ancestors[link] == (chain[above] if above >= 0 else 0)
+        assert 2 ** len(links.doublings) >= len(chain)
 
 
 def test_unknown_names_are_answered_with_the_valid_ones(skeleton):

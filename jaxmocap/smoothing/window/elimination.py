@@ -95,15 +95,20 @@ class Eliminated(NamedTuple):
 
 
 def eliminate(
-    evidence: Evidence, marginal: MarginalPrior, ridge: Array, count: Array
+    evidence: Evidence,
+    marginal: MarginalPrior,
+    ridge: Array,
+    count: Array | int,
+    attempts: int = ATTEMPTS,
 ) -> Eliminated:
-    """The first so many events in turn.
+    """The first so many events in turn; with a static ``count`` differentiable by gradients alone.
 
     Args:
         evidence: of E events.
         marginal: about the first two.
         ridge: (N,) curvature that holds each unknown back.
         count: ().
+        attempts: at a factor, each with a higher floor; what has none is not finite.
     """
     size = len(ridge)
     added = (0, size)
@@ -114,16 +119,16 @@ def eliminate(
         there = jax.lax.dynamic_slice_in_dim(evidence.points, i, REACH + 1)
         # Where three events do not follow, these rows are others: the stencil is 0 there.
         stencil = evidence.stencil[i]
-        S = jnp.concatenate([stencil[k] * tie[k] for k in range(REACH + 1)], 1)
-        acceleration = _times(stencil, there)
-        A = jnp.pad(rest.hessian, (added, added)) + _times(S.T, S)
-        b = jnp.pad(rest.gradient, added) + _times(acceleration, S)
+        S = (stencil[:, None, None] * tie).swapaxes(1, 2).reshape(-1, tie.shape[1])
+        A = jnp.pad(rest.hessian, (added, added)) + _times(S, S.T)
+        b = jnp.pad(rest.gradient, added) + _times(S, _times(stencil, there))
         A = A.at[:size, :size].add(evidence.hessian[i] + jnp.diag(ridge))
         b = b.at[:size].add(evidence.gradient[i])
-        L = _cholesky(A[:size, :size])
+        L = _cholesky(A[:size, :size], attempts)
         right = jnp.concatenate([A[:size, size:], b[:size, None]], 1)
         solved = solve_triangular(L, right, lower=True)
-        W, y = solved[:, :-1], solved[:, -1]
+        # What is on the right alone is differentiated.
+        W, y = jax.lax.stop_gradient(solved[:, :-1]), solved[:, -1]
         hessian = A[size:, size:] - _times(W.T, W)
         gradient = b[size:] - _times(y, W)
         own, ahead, pull, _ = so_far
@@ -140,7 +145,7 @@ def eliminate(
     return jax.lax.fori_loop(0, count, one, nothing)
 
 
-def steps_of(eliminated: Eliminated, count: Array) -> Array:
+def steps_of(eliminated: Eliminated, count: Array | int) -> Array:
     """Steps (E, N) of the first so many events, all of which were eliminated."""
     own, ahead, pull, _ = eliminated
     events, size = pull.shape
@@ -186,13 +191,13 @@ def point_variances(eliminated: Eliminated, jacobian: Array, count: Array, chose
     return jnp.maximum(jnp.sum(_times(jacobian, covariance) * jacobian, 1), 0.0)
 
 
-def _cholesky(matrix: Array) -> Array:
+def _cholesky(matrix: Array, attempts: int) -> Array:
     """With a floor, and a higher one where that is not enough."""
     eye = jnp.eye(len(matrix), dtype=matrix.dtype)
 
     def fails(tried: tuple[Array, Array]) -> Array:
         attempt, L = tried
-        return (attempt < ATTEMPTS) & ~jnp.all(jnp.isfinite(L))
+        return (attempt < attempts) & ~jnp.all(jnp.isfinite(L))
 
     def again(tried: tuple[Array, Array]) -> tuple[Array, Array]:
         attempt, _ = tried
