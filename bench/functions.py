@@ -5,7 +5,8 @@ simplex, and ``smooth``: a value, its gradient by what was measured, 64 and 256 
 they compile, and how many equations they are. ``rivals`` is ``solve`` beside mink and pink with
 limits and beside MuJoCo with a damped step in NumPy, in turn, on the same targets.
 
-One core, float32, table tennis. Nothing that an earlier run compiled is used.
+One core, float32, table tennis. Nothing that an earlier run compiled is used: it compiles by the
+options of ``gradients.md``, and as JAX has it.
 
 INPUTS: nothing. OUTPUTS: one table, and Metrics: milliseconds, seconds, equations.
 """
@@ -32,6 +33,8 @@ RATE_HZ, SECONDS = 30, 2.0
 BATCHES = {1: 60, 64: 8, 256: 3}
 # Events that ``smooth`` takes at once, and motions at a time.
 EVENTS, MOTIONS = 30, {1: 10, 8: 3}
+# What ``gradients.md`` has a derivative compiled with.
+QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
 
 
 class Work(NamedTuple):
@@ -121,9 +124,11 @@ def measured(name: str, work: Work) -> Iterator[Metric]:
     traced = jax.make_jaxpr(function)(*fixed, *own[0])
     yield Metric(f"{name}, equations", equations(traced.jaxpr), "", tolerance=0.1)
     for kind, one in (("", function), (", gradient", slope)):
-        jitted = jax.jit(one)
-        compiling, compiled = timed(lambda j=jitted: j.lower(*fixed, *own[0]).compile())
-        yield Metric(f"{name}{kind}, compile", compiling.busy / 1e3, "s")
+        for options, how in ((QUICK, ", quick options"), (None, "")):
+            jax.clear_caches()
+            jitted = jax.jit(one, compiler_options=options)
+            compiling, compiled = timed(lambda j=jitted: j.lower(*fixed, *own[0]).compile())
+            yield Metric(f"{name}{kind}, compile{how}", compiling.busy / 1e3, "s")
         spent = [timed(compiled, *fixed, *own[i % count])[0].busy for i in range(batches[1])]
         yield from stage_metrics(f"{name}{kind}", spent[1:])
     for size, times in batches.items():

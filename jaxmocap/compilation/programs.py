@@ -83,10 +83,13 @@ class _Made:
 
     Attributes:
         compiled: structure, shapes and types of the arguments -> what compiles them.
+        by_itself: the jitted function, by the compiler's effort; what calls it within a program of
+            its own chooses that itself.
         restored: the jitted function that looks up what was kept.
     """
 
     compiled: dict[tuple, _Once]
+    by_itself: Any = None
     restored: Any = None
 
 
@@ -111,6 +114,7 @@ class Program:
             effort: of the compiler.
         """
         self.name, self.jitted, self._effort = name, jax.jit(function), effort
+        self._function = function
         self._static, self._first, self._made = repr(static), (), _Made({})
 
     def after(self, *first: Any) -> "Program":
@@ -122,9 +126,11 @@ class Program:
     def __call__(self, *arguments: Any) -> Any:
         """The function's result."""
         arguments = (*self._first, *arguments)
-        if _store is None or is_traced(arguments):
+        if is_traced(arguments):
             return self.jitted(*arguments)
-        return self._chosen()(*arguments)
+        # Of constants alone it is found now, whatever is traced around it.
+        with jax.ensure_compile_time_eval():
+            return self._chosen()(*arguments)
 
     def shapes(self, *like: Any) -> Any:
         """Shapes of the result, from arguments or from what has their shapes."""
@@ -169,8 +175,11 @@ class Program:
 
     def _chosen(self) -> Any:
         """What is jitted: the function, or what looks up what was made of it."""
+        options = _compiler_options(self._effort)
         if _store is None:
-            return self.jitted
+            made = self._made.by_itself or jax.jit(self._function, compiler_options=options)
+            self._made.by_itself = made
+            return made
         if self._made.restored is None:
 
             def restored(*arguments: Any) -> Any:
@@ -181,9 +190,7 @@ class Program:
                 return jax.tree.unflatten(kept.structure, kept.exported.call(*leaves))
 
             restored.__name__ = self.name
-            self._made.restored = jax.jit(
-                restored, compiler_options=_compiler_options(self._effort)
-            )
+            self._made.restored = jax.jit(restored, compiler_options=options)
         return self._made.restored
 
     def _look_up(self, leaves: list[Array], structure: Any) -> _Kept | None:
