@@ -22,6 +22,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import jax
 import numpy as np
 from jax import Array, export
+from jax.core import eval_context
 
 from jaxmocap.compilation.arguments import is_traced
 from jaxmocap.compilation.structures import from_json, is_of_this_code, to_json
@@ -129,7 +130,7 @@ class Program:
         if is_traced(arguments):
             return self.jitted(*arguments)
         # Of constants alone it is found now, whatever is traced around it.
-        with jax.ensure_compile_time_eval():
+        with eval_context():
             return self._chosen()(*arguments)
 
     def shapes(self, *like: Any) -> Any:
