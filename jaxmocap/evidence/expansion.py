@@ -7,6 +7,7 @@ INPUTS: terms, a Model, a pose, what was measured. OUTPUTS: whitened residuals, 
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -14,9 +15,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import curvature, forward, jacobian, site_positions
+from jaxmocap.body.kinematics import (
+    curvature,
+    forward,
+    jacobian,
+    landmark_sites,
+    site_positions,
+)
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
+from jaxmocap.body.proportions import scaled
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.terms import (
@@ -28,6 +36,22 @@ from jaxmocap.evidence.terms import (
     posed_body,
 )
 from jaxmocap.geometry.rotations import HIGHEST, hat, quaternion_multiply
+
+
+class Linear(NamedTuple):
+    """Residuals about a pose, and how they change with N = 6 + D + P unknowns.
+
+    Attributes:
+        residuals: (R,).
+        jacobian: (R, N) by the tangent vector of ``retract`` and by the proportions.
+        points: (3 L,) landmarks, world, metres.
+        points_jacobian: (3 L, N).
+    """
+
+    residuals: Array
+    jacobian: Array
+    points: Array
+    points_jacobian: Array
 
 
 def expanded(
@@ -76,6 +100,58 @@ def expanded(
         each = [(r, next(left) if J is None else J) for r, J in each]
     r, J = (jnp.concatenate(parts) for parts in zip(*each, strict=True))
     return r, J, bending
+
+
+def linearised(
+    terms: Sequence[Term], model: Model, proportions: Array, pose: Pose, measured: Measurements
+) -> Linear:
+    """Residuals about a pose.
+
+    Args:
+        terms: of the evidence.
+        model: its skeleton unscaled.
+        proportions: (P,) of ``scaled``; P may be 0.
+        pose: of the person.
+        measured: of this moment.
+    """
+
+    def resized(logarithms: Array) -> Model:
+        return replace(model, skeleton=scaled(model.skeleton, logarithms))
+
+    person = resized(proportions) if proportions.size else model
+    r, J, _ = expanded(terms, person, pose, measured, bends=False)
+    skeleton, sites = person.skeleton, landmark_sites(person.skeleton)
+    frames = forward(skeleton, pose)
+    points = site_positions(skeleton, frames, sites)
+    points_J = jacobian(skeleton, frames, sites.bones, points).reshape(points.size, -1)
+    if proportions.size:
+
+        def outputs(logarithms: Array) -> tuple[Array, Array]:
+            own = resized(logarithms)
+            body = posed_body(own, pose)
+            return joined_residuals(terms, own, body, measured), body.landmarks.ravel()
+
+        by_size = jax.jacfwd(outputs)(proportions)
+        J, points_J = (
+            jnp.concatenate(pair, -1) for pair in zip((J, points_J), by_size, strict=True)
+        )
+    return Linear(r, J, points.ravel(), points_J)
+
+
+def linearised_term(
+    term: Term, model: Model, pose: Pose, measured: Measurements
+) -> tuple[Array, Array]:
+    """A term's residuals (...) about a pose, and their derivatives (..., 6 + D).
+
+    Args:
+        term: of the evidence.
+        model: of the person, the markers and the cameras.
+        pose: of the person.
+        measured: of this moment.
+    """
+    shape = jax.eval_shape(lambda: term.residual(model, posed_body(model, pose), measured)).shape
+    r, J, _ = expanded((term,), model, pose, measured, bends=False)
+    return r.reshape(shape), J.reshape(*shape, J.shape[-1])
 
 
 def residuals_and_pull(

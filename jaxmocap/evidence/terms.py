@@ -8,10 +8,8 @@ INPUTS: terms, a Model, a pose, what was measured. OUTPUTS: whitened residuals, 
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -25,10 +23,8 @@ from jaxmocap.body.kinematics import (
     site_positions,
 )
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, retract
-from jaxmocap.body.proportions import scaled
+from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
 
 # Name of a measurement -> arrays; what a term does not find there it has no residuals of.
@@ -98,84 +94,9 @@ class Term(ABC):
         return None
 
 
-class Linear(NamedTuple):
-    """Residuals about a pose, and how they change with N = 6 + D + P unknowns.
-
-    Attributes:
-        residuals: (R,).
-        jacobian: (R, N) by the tangent vector of ``retract`` and by the proportions.
-        points: (3 L,) landmarks, world, metres.
-        points_jacobian: (3 L, N).
-    """
-
-    residuals: Array
-    jacobian: Array
-    points: Array
-    points_jacobian: Array
-
-
 def residuals(terms: Sequence[Term], model: Model, pose: Pose, measured: Measurements) -> Array:
     """All whitened residuals (R,) of a pose."""
     return joined_residuals(terms, model, posed_body(model, pose), measured)
-
-
-def linearised(
-    terms: Sequence[Term], model: Model, proportions: Array, pose: Pose, measured: Measurements
-) -> Linear:
-    """Residuals about a pose.
-
-    Args:
-        terms: of the evidence.
-        model: its skeleton unscaled.
-        proportions: (P,) of ``scaled``; P may be 0.
-        pose: of the person.
-        measured: of this moment.
-    """
-
-    def resized(logarithms: Array) -> Model:
-        if not proportions.size:
-            return model
-        return replace(model, skeleton=scaled(model.skeleton, logarithms))
-
-    def outputs(person: Model, there: Pose) -> tuple[Array, Array]:
-        body = posed_body(person, there)
-        return joined_residuals(terms, person, body, measured), body.landmarks.ravel()
-
-    still = jnp.zeros(ROOT_DOF + pose.angles.size, pose.angles.dtype)
-    person = resized(proportions)
-    by_pose = lambda step: outputs(person, retract(pose, step))  # noqa: E731
-    (r, points), push = jax.linearize(by_pose, still)
-    J, points_J = jax.vmap(push, -1, -1)(jnp.eye(still.size, dtype=still.dtype))
-    if proportions.size:
-        by_size = jax.jacfwd(lambda logarithms: outputs(resized(logarithms), pose))(proportions)
-        J, points_J = (
-            jnp.concatenate(pair, -1) for pair in zip((J, points_J), by_size, strict=True)
-        )
-    return Linear(r, J, points, points_J)
-
-
-def linearised_term(
-    term: Term, model: Model, pose: Pose, measured: Measurements
-) -> tuple[Array, Array]:
-    """A term's residuals (...) about a pose, and their derivatives (..., 6 + D).
-
-    Args:
-        term: of the evidence.
-        model: of the person, the markers and the cameras.
-        pose: of the person.
-        measured: of this moment.
-    """
-    body = posed_body(model, pose)
-    J = term.jacobian(model, body, measured)
-    if J is not None:
-        return term.residual(model, body, measured), J
-    still = jnp.zeros(ROOT_DOF + pose.angles.size, pose.angles.dtype)
-
-    def moved(step: Array) -> Array:
-        return term.residual(model, posed_body(model, retract(pose, step)), measured)
-
-    r, push = jax.linearize(moved, still)
-    return r, jax.vmap(push, -1, -1)(jnp.eye(still.size, dtype=still.dtype))
 
 
 def posed_body(model: Model, pose: Pose, frames: Frames | None = None) -> PosedBody:

@@ -29,12 +29,13 @@ from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.balance import Balance
+from jaxmocap.evidence.expansion import linearised
 from jaxmocap.evidence.ground import FeetOnFloor
 from jaxmocap.evidence.keypoints import KeyPoints, SightLines
 from jaxmocap.evidence.limits import JointLimits
 from jaxmocap.evidence.posture import MostlyRelaxedPosture, Pelvis, RelaxedPosture
 from jaxmocap.evidence.smoothness import REACH, smoothness
-from jaxmocap.evidence.terms import Measurements, Term, linearised, residuals
+from jaxmocap.evidence.terms import Measurements, Term, residuals
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.smoothing.elbow_viterbi import cheapest_path
 from jaxmocap.smoothing.levenberg_marquardt import Solution, minimise

@@ -25,7 +25,8 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.evidence.terms import Measurements, Term, linearised_term
+from jaxmocap.evidence.expansion import linearised_term
+from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.points import PointRays, linearised_rays
 from jaxmocap.silhouette.surfaces.morph import (

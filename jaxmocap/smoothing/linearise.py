@@ -24,8 +24,9 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.arrays import Numbers, on_device
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
+from jaxmocap.evidence.expansion import linearised
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, silhouette_fit
-from jaxmocap.evidence.terms import Measurements, Term, linearised
+from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.images.silhouette_grid import blurred

@@ -37,10 +37,10 @@ from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
-from jaxmocap.evidence.expansion import expanded
+from jaxmocap.evidence.expansion import expanded, linearised, linearised_term
 from jaxmocap.evidence.ground import FeetOnFloor, KneesOverFeet
 from jaxmocap.evidence.keypoints import lines_of_sight
-from jaxmocap.evidence.markers import Goals, PointGoals, SearchedElbows
+from jaxmocap.evidence.markers import Goals, MarkerPositions, PointGoals, SearchedElbows
 from jaxmocap.evidence.posture import (
     USUAL_ROWS,
     EasyPosture,
@@ -55,8 +55,6 @@ from jaxmocap.evidence.terms import (
     Measurements,
     PosedBody,
     Term,
-    linearised,
-    linearised_term,
     residuals,
 )
 from jaxmocap.geometry.cameras import project
@@ -116,6 +114,17 @@ def test_the_derivative_is_that_of_going_through_everything(kind):
     for ours, theirs in zip(actual, (r, J, at, by), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=2e-5, atol=2e-5 * np.abs(theirs).max())
     assert np.abs(lengths).max() > 0.1, "lengths matter to the markers"
+
+
+def test_a_term_s_own_formula_is_its_derivative():
+    class Stated(MarkerPositions):
+        def jacobian(self, model, body, measured):
+            return jnp.full((*body.markers.shape, model.skeleton.costs.size), 7.0)
+
+    pose, one = frame("markers")
+    J = linearised((Stated(),), MODEL, LOGARITHMS, pose, one).jacobian
+    by_pose = J[:, : -len(LOGARITHMS)]
+    np.testing.assert_array_equal(by_pose, np.full(by_pose.shape, 7.0))
 
 
 # Every term's derivative -------------------------------------------------------------------------

@@ -18,8 +18,9 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.evidence.expansion import linearised_term
 from jaxmocap.evidence.posture import effort_shares
-from jaxmocap.evidence.terms import Measurements, Term, linearised_term
+from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
 from jaxmocap.hybrid.settings import IKSettings
 from jaxmocap.solvers.limits import room, step_within

@@ -28,6 +28,7 @@ from jaxmocap.evidence.appearance.learned import (
     ROWS,
     landmark_halves,
 )
+from jaxmocap.evidence.expansion import linearised
 from jaxmocap.evidence.silhouettes import (
     HIDDEN_BEYOND_M,
     HIDDEN_SOFTLY_M,
@@ -36,7 +37,7 @@ from jaxmocap.evidence.silhouettes import (
     project_flesh,
 )
 from jaxmocap.evidence.smoothness import second_differences
-from jaxmocap.evidence.terms import Measurements, linearised
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.cameras import Camera, depth, project
 from jaxmocap.geometry.outlines import Swept, Touch, depth_along, swept, touch_swept
 from jaxmocap.geometry.rotations import HIGHEST
