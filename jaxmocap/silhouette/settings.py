@@ -10,12 +10,8 @@ from jaxmocap.body.surfaces.morphing import Morphing
 from jaxmocap.evidence.keypoints import KeyPoints
 from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.terms import Term
-from jaxmocap.silhouette.fit.correspond import MatchSettings
-from jaxmocap.silhouette.fit.settling import SettlingSettings
 from jaxmocap.silhouette.keypoint_poses import KeypointPoseSettings
-from jaxmocap.silhouette.recovery.settings import LimbSearchSettings, RecoverySettings
 from jaxmocap.silhouette.segmentation import segment
-from jaxmocap.silhouette.segmentation.inner_edges import InnerEdgeSettings
 from jaxmocap.silhouette.smoothing import PoseSmoothingSettings
 from jaxmocap.silhouette.surfaces.body_shape import FULL
 from jaxmocap.silhouette.surfaces.rim import RimSettings
@@ -71,7 +67,6 @@ class Settings:
     Attributes:
         body: file in ``body/data`` whose joints move the person, and whose parts are tracked.
         rim: sizes; its canvases are the level sets' too, so that its margin holds a step's error.
-        match: what makes a pair of rim and contour.
         level_set: of the segmentation, traced.
         plan: of it, static.
         sharpen: whether single pixels then decide where exactly its contours are.
@@ -81,8 +76,8 @@ class Settings:
         cycles: of every frame.
         starting_cycles: before those in the first frame, where its pose may be far off, such as
             ``FAR_OFF``. From a pose nearly right they lead to no better one.
-        settling: of segmentation and pose in turn, after these cycles.
-        edges: what shows one limb before another.
+        settling_rounds: of a segmentation and a solve in turn after these cycles, at most, until
+            neither changes the other; 0 for none.
         iterations: of the pose in each cycle.
         predicted_deviation: of every degree of freedom about its prediction, metres and radians.
             Pairs of one outline err alike, and count as if they did not: more freedom than this
@@ -105,8 +100,6 @@ class Settings:
             it is torn, black or another camera's, and ignored.
         patience: frames of a camera, one after the other, that may be ignored so.
         particles: of where a limb is that may be lost, static; 1 for the estimated pose alone.
-        limb_search: among them.
-        recovery: when to search for a limb, and what to believe of it.
         smoothing: of all frames of a recording together; None leaves them as they were found.
         terms: of evidence beside the images. Markers count where any are followed, key points
             where there are any; hundreds of pairs that err alike stand against each.
@@ -119,7 +112,6 @@ class Settings:
 
     body: str = "supple.toml"
     rim: RimSettings = field(default_factory=lambda: RimSettings(margin=0.1))
-    match: MatchSettings = field(default_factory=MatchSettings)
     level_set: segment.LevelSetSettings = field(default_factory=segment.LevelSetSettings)
     plan: segment.SegmentationPlan = field(default_factory=segment.SegmentationPlan)
     sharpen: bool = True
@@ -127,8 +119,7 @@ class Settings:
     contrast: float = 0.1
     cycles: tuple[Cycle, ...] = (Cycle(0.03, segments=True), Cycle(0.008), Cycle(0.004))
     starting_cycles: tuple[Cycle, ...] = ()
-    settling: SettlingSettings = field(default_factory=SettlingSettings)
-    edges: InnerEdgeSettings = field(default_factory=InnerEdgeSettings)
+    settling_rounds: int = 0
     iterations: int = 4
     predicted_deviation: float = 0.08
     expected_deviation: float = 0.03
@@ -143,8 +134,6 @@ class Settings:
     changed_share: float = 0.16
     patience: int = 15
     particles: int = 128
-    limb_search: LimbSearchSettings = field(default_factory=LimbSearchSettings)
-    recovery: RecoverySettings = field(default_factory=RecoverySettings)
     smoothing: PoseSmoothingSettings | None = field(default_factory=PoseSmoothingSettings)
     terms: tuple[Term, ...] = field(
         default_factory=lambda: (MarkerPositions(deviation=0.003), KeyPoints(deviation=0.005))  # type: ignore[arg-type]

@@ -123,7 +123,7 @@ class SilhouetteTracker:
     def _body(self, shape: BodyShape) -> TrackedBody:
         """Of other lengths markers sit elsewhere, limbs reach farther."""
         cameras, s = self.constants.cameras, self.constants.settings
-        recovery = LimbRecovery(shape.skeleton, shape.surface, cameras, s.particles, s.recovery)
+        recovery = LimbRecovery(shape.skeleton, shape.surface, cameras, s.particles)
         return TrackedBody(shape, Model(shape.skeleton, self._sites), recovery)
 
     def init(

@@ -5,15 +5,14 @@ import pytest
 
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.recovery.chromaticity import (
+    LARGEST_COST,
     BodyAppearance,
     PointCells,
     chromaticity,
     chromaticity_at,
     chromaticity_canvases,
 )
-from jaxmocap.silhouette.recovery.settings import ChromaticitySettings
 
-SETTINGS = ChromaticitySettings()
 SIZE = 16
 SHIRT, SKIN = np.array([150, 60, 40], np.uint8), np.array([90, 120, 180], np.uint8)
 REGION = Region(np.array([[-0.5, -0.5]], np.float32), np.array([1.0], np.float32))
@@ -38,7 +37,7 @@ def test_what_an_arm_hides_is_not_seen_and_the_arm_is(trunk_and_arm):
     cells, on_arm = trunk_and_arm
     depth = cells.nearest_depths(np.ones(len(on_arm), bool))
     assert depth[0, 8, 8] == 2.5 and depth[0, 3, 3] == 3.0 and np.isinf(depth[0, 0, 15])
-    visible = cells.visible(depth, SETTINGS)[0]
+    visible = cells.visible(depth)[0]
     rows_columns = np.stack(np.divmod(cells.cells[0], SIZE))
     behind = ~on_arm & ((rows_columns >= 6) & (rows_columns < 10)).all(0)
     assert visible[on_arm].all() and not visible[behind].any() and visible[~on_arm].sum() > 60
@@ -48,7 +47,7 @@ def test_points_beside_the_canvas_are_not_seen():
     pixels = np.array([[[3.0, 3.0], [40.0, 3.0], [-9.0, np.nan]]])
     cells = PointCells.of(pixels, np.ones((1, 3), np.float32), REGION, SIZE)
     np.testing.assert_array_equal(
-        cells.visible(cells.nearest_depths(np.ones(3, bool)), SETTINGS), [[True, False, False]]
+        cells.visible(cells.nearest_depths(np.ones(3, bool))), [[True, False, False]]
     )
 
 
@@ -59,7 +58,7 @@ def test_a_chromaticity_is_learned_where_it_is_visible_and_brightness_ignored():
     )
     shades = np.stack([SKIN, SKIN // 2, SHIRT])[None].repeat(2, 0)
     for _ in range(3):
-        appearance = appearance.updated(chromaticity(shades), visible, SETTINGS)
+        appearance = appearance.updated(chromaticity(shades), visible)
     np.testing.assert_array_equal(appearance.frames, [3, 3, 0])
     np.testing.assert_allclose(
         appearance.chromaticities[:2], np.stack([SKIN / SKIN.sum()] * 2), atol=0.01
@@ -77,14 +76,12 @@ def test_cells_that_look_like_the_arm_are_unlike_the_trunk_behind_it(trunk_and_a
     image = np.tile(SHIRT, (SIZE, SIZE, 1))
     image[6:10, 6:10] = SKIN
     shown = chromaticity_canvases([image], [Region(*(part[0] for part in REGION))], SIZE)
-    trunk = cells.visible(cells.nearest_depths(~on_arm), SETTINGS) & ~on_arm
-    cost = cells.appearance_cost(shown, appearance, trunk, SETTINGS)[0]
-    assert cost[8, 8] == SETTINGS.largest_cost and cost[4, 4] < 0.1
+    trunk = cells.visible(cells.nearest_depths(~on_arm)) & ~on_arm
+    cost = cells.appearance_cost(shown, appearance, trunk)[0]
+    assert cost[8, 8] == LARGEST_COST and cost[4, 4] < 0.1
+    assert not cells.appearance_cost(shown, BodyAppearance.empty(len(colours)), trunk).any()
     assert not cells.appearance_cost(
-        shown, BodyAppearance.empty(len(colours)), trunk, SETTINGS
-    ).any()
-    assert not cells.appearance_cost(
-        chromaticity_canvases([None], [REGION], SIZE), appearance, trunk, SETTINGS
+        chromaticity_canvases([None], [REGION], SIZE), appearance, trunk
     ).any()
 
 

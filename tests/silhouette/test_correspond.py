@@ -11,15 +11,14 @@ from jaxmocap.body.pose import difference, retract
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import (
+    ALONG_WEIGHT,
     Contour,
-    MatchSettings,
     matched_pairs,
     pairs_of,
 )
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose
 from jaxmocap.silhouette.surfaces.index_image import traced_boundary
 
-SETTINGS_OF_PAIRS = MatchSettings()
 PAIRS, SOLVE = jax.jit(pairs_of), jax.jit(solve_pose)
 
 
@@ -71,10 +70,10 @@ def test_a_discs_contour_is_found_to_a_tenth_of_a_cell():
 def test_nothing_seen_matches_nothing(finder):  # noqa: F811
     rim = finder.find(finder.initial_shape, bent(), CAMERAS)
     phi = np.full((4, SETTINGS.size, SETTINGS.size), -5.0, np.float32)
-    none = matched_pairs(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
+    none = matched_pairs(rim, contours(phi, rim.region))
     assert not none.valid.any()
     phi[0, 20:100, 50:70] = 5.0
-    some = matched_pairs(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
+    some = matched_pairs(rim, contours(phi, rim.region))
     assert some.nodes.shape == none.nodes.shape
     assert some.valid[0].any() and not some.valid[1:].any()
 
@@ -84,7 +83,7 @@ def test_pairs_face_the_same_way_and_are_near(finder):  # noqa: F811
     start = retract(truth, jnp.full(BODY.costs.shape, 0.02))
     rim = finder.find(finder.initial_shape, start, CAMERAS)
     phi = np.stack([level_set(finder, truth, c, rim.region) for c in range(4)])
-    pairs = matched_pairs(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
+    pairs = matched_pairs(rim, contours(phi, rim.region))
     assert pairs.valid.mean() > 0.7
     assert pairs.distances[pairs.valid].max() < 40 * rim.region.scale.max()
     assert np.median(pairs.distances[pairs.valid]) < 15
@@ -105,13 +104,10 @@ def test_a_pose_is_found_from_four_silhouettes(finder, degrees):  # noqa: F811
     phi = np.stack([level_set(finder, truth, c, region) for c in range(4)])
     outlines = contours(phi, region)
     for _ in range(10):
-        actual = matched_pairs(
-            finder.find(finder.initial_shape, pose, CAMERAS), outlines, SETTINGS_OF_PAIRS
-        )
+        actual = matched_pairs(finder.find(finder.initial_shape, pose, CAMERAS), outlines)
         weights = jnp.asarray(actual.valid, jnp.float32)
         points = finder.initial_shape.points(actual.nodes)
-        along = SETTINGS_OF_PAIRS.along_weight
-        rays = PAIRS(CAMERAS, points, actual.pixels_xy, actual.normals, weights, along)
+        rays = PAIRS(CAMERAS, points, actual.pixels_xy, actual.normals, weights, ALONG_WEIGHT)
         pose = SOLVE(BODY, pose, rays, PoseSettings(iterations=3, deviation=0.005), prior).pose
     wrong = np.abs(np.asarray(difference(pose, truth)))
     hinges = [

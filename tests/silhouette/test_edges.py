@@ -11,7 +11,6 @@ from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import Matches
 from jaxmocap.silhouette.fit.cycles import combined_prior
 from jaxmocap.silhouette.segmentation.inner_edges import (
-    InnerEdgeSettings,
     colour_boundary,
     colour_profiles,
     concatenated,
@@ -20,7 +19,6 @@ from jaxmocap.silhouette.segmentation.inner_edges import (
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 SKIN, SHIRT = np.array([120, 150, 200]), np.array([150, 70, 60])
-SETTINGS = InnerEdgeSettings()
 ROWS = np.arange(20, 60, 2)
 
 
@@ -47,7 +45,7 @@ def rim_at(column: float, cameras: int = 1) -> Rim:
 
 
 def edges_of(image: np.ndarray | None, column: float) -> Matches:
-    return inner_edge_pairs([image], rim_at(column), np.zeros(len(ROWS) + 1, int), SETTINGS)
+    return inner_edge_pairs([image], rim_at(column), np.zeros(len(ROWS) + 1, int))
 
 
 @pytest.mark.parametrize("off", [-4.0, -1.3, 0.0, 2.6, 4.0])
@@ -74,7 +72,7 @@ def test_where_there_is_no_image_or_no_edge_within_reach_there_are_no_pairs():
 def test_too_few_points_of_a_bone_say_nothing_of_its_colours():
     image, rim = picture(SKIN, SHIRT, 40), rim_at(40)
     each_its_own = np.arange(len(ROWS) + 1)
-    assert not inner_edge_pairs([image], rim, each_its_own, SETTINGS).valid.any()
+    assert not inner_edge_pairs([image], rim, each_its_own).valid.any()
 
 
 def test_profiles_run_along_the_normals():

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_lost_limbs import LIKELIHOOD, begun, four_cameras, plain_walls
+from test_lost_limbs import EXPLAINED, begun, four_cameras, plain_walls
 from test_rim import BODY, bent
 from test_silhouette_tracker import SMALL, WALL
 
@@ -20,7 +20,6 @@ from jaxmocap.silhouette.first_pose import landmark_points
 from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance
 from jaxmocap.silhouette.recovery.limb_likelihood import (
     Obstacles,
-    explained_log_ratio,
     obstacle_rings,
     penetrating_share,
 )
@@ -30,7 +29,6 @@ from jaxmocap.silhouette.segmentation.outlines import find_outlines
 from jaxmocap.silhouette.state import State
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
-EXPLAINED = jax.jit(explained_log_ratio, static_argnames="likelihood")
 WRIST = LANDMARKS.index("wrist_l")
 SHIRT, SKIN = (120, 50, 30), (80, 110, 170)
 # Of a hue more like skin than like the shirt, and not that of skin.
@@ -105,16 +103,16 @@ def test_an_arm_that_no_silhouette_misses_is_missed_by_its_colour(tracker, state
     left = recovery.names.index("arm_l")
     # From both sides one arm is before the other, and the lost one before or behind the trunk.
     aside = projected_over(tracker, state, LOST, images, SIDES)
-    proposal, after = recovery.propose(memory, aside, SMALL.limb_search)
+    proposal, after = recovery.propose(memory, aside)
     assert after.contradicted[left] and proposal is not None and proposal.limbs == (left,)
     assert off(proposal.poses) < 0.5 < 0.8 < off([LOST])
     count = len(memory.appearance.frames)
     unknown = memory._replace(appearance=BodyAppearance.empty(count))
-    proposal, after = recovery.propose(unknown, aside, SMALL.limb_search)
+    proposal, after = recovery.propose(unknown, aside)
     assert proposal is None and not after.contradicted.any()
     # From ahead it would be seen before the wall.
     every = projected_over(tracker, state, LOST, images)
-    assert recovery.propose(unknown, every, SMALL.limb_search)[1].contradicted[left]
+    assert recovery.propose(unknown, every)[1].contradicted[left]
 
 
 def boxed(tracker: SilhouetteTracker, *bones: str) -> list[np.ndarray]:
@@ -136,7 +134,7 @@ def boxed(tracker: SilhouetteTracker, *bones: str) -> list[np.ndarray]:
 def test_an_arm_behind_a_box_is_not_seen_and_stays(tracker, state, box):
     recovery, images = tracker.body.recovery, boxed(tracker, *FOREARM if box else ())
     true = projected_over(tracker, state, AHEAD, images)
-    proposal, after = recovery.propose(state.limbs, true, SMALL.limb_search)
+    proposal, after = recovery.propose(state.limbs, true)
     assert after.contradicted.any() == box and proposal is None
     hidden, _ = recovery.hidden_joints(after, true, images)
     assert hidden[[BODY.tree.joint(f"elbow_flex_{side}") for side in "lr"]].tolist() == [box, box]
@@ -177,7 +175,7 @@ def test_an_arm_that_was_learned_as_background_is_not_better_off_unseen(tracker,
     arms = projected.covered(np.any(recovery.evidence.nodes[:4], 0))
     log_ratios = np.where(arms, np.float32(-2), projected.log_ratios)
     learned = projected._replace(log_ratios=log_ratios)
-    proposal, after = recovery.propose(state.limbs, learned, SMALL.limb_search)
+    proposal, after = recovery.propose(state.limbs, learned)
     assert after.contradicted[left] and proposal is None
 
 
@@ -198,7 +196,7 @@ def test_what_lies_before_the_trunk_is_the_arm_only_in_its_hue(tracker, state, c
     evidence = finder.of_limb(left, projected, state.limbs.appearance, depths)
     below = halves_of(recovery.limbs[left])[1]
     cameras = tracker.constants.cameras
-    actual = float(EXPLAINED(BODY, cameras, CROSSED, below, evidence, LIKELIHOOD))
+    actual = float(EXPLAINED(BODY, cameras, CROSSED, below, evidence))
     assert low < actual < high
 
 

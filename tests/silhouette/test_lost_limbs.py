@@ -29,14 +29,14 @@ from jaxmocap.silhouette.recovery.limb_particle_filter import (
     systematic_resampling,
 )
 from jaxmocap.silhouette.recovery.limbs import carriers, limb_chains
-from jaxmocap.silhouette.recovery.lost_limbs import LimbMemory, LimbProposal
-from jaxmocap.silhouette.recovery.part_appearance import PartAppearance
-from jaxmocap.silhouette.recovery.projected_body import body_pixels
-from jaxmocap.silhouette.recovery.settings import (
-    LimbLikelihood,
-    PartAppearanceSettings,
-    RecoverySettings,
+from jaxmocap.silhouette.recovery.lost_limbs import (
+    LEAST_GAIN,
+    UNEXPLAINED_SHARE,
+    LimbMemory,
+    LimbProposal,
 )
+from jaxmocap.silhouette.recovery.part_appearance import YOUNGEST, PartAppearance
+from jaxmocap.silhouette.recovery.projected_body import body_pixels
 from jaxmocap.silhouette.segmentation.canvas_coverage import covered_cells
 from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
 from jaxmocap.silhouette.settings import Settings
@@ -44,10 +44,7 @@ from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 WRIST = LANDMARKS.index("wrist_l")
 DRAWN, DISTINCT = jax.jit(systematic_resampling), jax.jit(distinct_particles)
-EXPLAINED = jax.jit(explained_log_ratio, static_argnames="likelihood")
-LIKELIHOOD = LimbLikelihood()
-PARTS = PartAppearanceSettings()
-LEAST_GAIN = RecoverySettings().least_gain
+EXPLAINED = jax.jit(explained_log_ratio)
 
 
 def lifted(degrees: float):
@@ -137,7 +134,7 @@ def test_a_limb_is_searched_for_again_at_once_where_a_place_was_nearly_better(
 ):
     recovery = tracker.body.recovery
     monkeypatch.setattr(recovery, "_search", lambda *_: found_at(0.3 + gain, 0.3))
-    missing = 2 * RecoverySettings().unexplained_share
+    missing = 2 * UNEXPLAINED_SHARE
     proposal, after = proposed(recovery, monkeypatch, explained=0.3, missing=missing)
     assert proposal is None and after.waits.any() == after.failures.any() == waits
 
@@ -188,7 +185,7 @@ def proposed(recovery, monkeypatch, explained: float, missing: float, before=Non
     memory = before if before is not None else LimbMemory(
         (None,) * 4, np.zeros(4, int), np.zeros(4, int), None, None, np.zeros(4, bool), 0,
     )  # type: ignore[arg-type]  # fmt: skip
-    return recovery.propose(memory, SimpleNamespace(pose=None), SMALL.limb_search)
+    return recovery.propose(memory, SimpleNamespace(pose=None))
 
 
 def test_a_forearm_laid_over_its_upper_arm_explains_nothing_twice(tracker):
@@ -202,7 +199,7 @@ def test_a_forearm_laid_over_its_upper_arm_explains_nothing_twice(tracker):
     shown = [covered_cells(at, Region(*r), 128, 0) for at, *r in zip(pixels, *region, strict=True)]
     evidence = LimbEvidence(np.stack(shown).astype(np.float32), region, np.ones(4, bool))
     straight, folded = (
-        float(EXPLAINED(BODY, cameras, bent(elbow_flex_l=degrees), limb, evidence, LIKELIHOOD))
+        float(EXPLAINED(BODY, cameras, bent(elbow_flex_l=degrees), limb, evidence))
         for degrees in (0.0, 150.0)
     )
     assert straight > 0.1 and folded < 1.2 * straight
@@ -265,15 +262,15 @@ def test_a_box_before_a_part_is_recognised_by_its_colour_and_shade_is_not():
     pixels = np.stack([columns.ravel(), rows.ravel()], 1)[None].repeat(3, 0)
     parts = np.ones((1, 100), bool)
     appearance = PartAppearance.empty(1, 3)
-    for frame in range(PARTS.youngest):
+    for frame in range(YOUNGEST):
         darker = np.uint8(image * (1 - 0.1 * frame))
-        other, appearance = appearance.compared(3 * [darker], pixels, parts, PARTS)
+        other, appearance = appearance.compared(3 * [darker], pixels, parts)
         assert not other.any()
     box = image.copy()
     box[8:22, 8:22] = 200
-    assert not appearance.compared(3 * [image], pixels, parts, PARTS)[0].any()
+    assert not appearance.compared(3 * [image], pixels, parts)[0].any()
     # One of three cameras is not enough.
-    assert not appearance.compared([box, image, image], pixels, parts, PARTS)[0].any()
-    hidden, after = appearance.compared([box, box, image], pixels, parts, PARTS)
+    assert not appearance.compared([box, image, image], pixels, parts)[0].any()
+    hidden, after = appearance.compared([box, box, image], pixels, parts)
     assert hidden.all() and (after.mean[:, :2] == appearance.mean[:, :2]).all()
-    assert not appearance.compared(3 * [None], pixels, parts, PARTS)[0].any()
+    assert not appearance.compared(3 * [None], pixels, parts)[0].any()

@@ -6,7 +6,7 @@ from test_rim import BODY
 
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.silhouette.fit.correspond import Contour
-from jaxmocap.silhouette.fit.settling import SettlingSettings, contours_apart, has_settled
+from jaxmocap.silhouette.fit.settling import contours_apart, has_settled
 from jaxmocap.silhouette.settings import FAR_OFF, Cycle, Settings, progressive
 from jaxmocap.silhouette.surfaces.body_shape import FULL
 
@@ -29,12 +29,12 @@ def test_contours_are_apart_by_what_they_moved_across_however_they_were_sampled(
 
 
 def test_a_round_has_settled_where_neither_pose_nor_contour_moved():
-    pose, settings = relaxed_pose(BODY), SettlingSettings()
+    pose = relaxed_pose(BODY)
     turned = pose._replace(angles=pose.angles.at[BODY.tree.joint("elbow_flex_l")].add(0.1))
     near, far = [circle(50.0, 400)], [circle(51.0, 400)]
-    assert has_settled(BODY, (pose, pose), (near, near), settings)
-    assert not has_settled(BODY, (pose, turned), (near, near), settings)
-    assert not has_settled(BODY, (pose, pose), (near, far), settings)
+    assert has_settled(BODY, (pose, pose), (near, near))
+    assert not has_settled(BODY, (pose, turned), (near, near))
+    assert not has_settled(BODY, (pose, pose), (near, far))
 
 
 @pytest.mark.parametrize(

@@ -161,7 +161,7 @@ def settings_of(options: argparse.Namespace, by_hand: bool = False) -> Settings:
         body=f"{options.model_file}.toml",
         cycles=progressive(usual.cycles, options.frequencies, len(usual.rim.levels)),
         starting_cycles=FAR_OFF if by_hand else (),
-        settling=usual.settling._replace(rounds=options.settle),
+        settling_rounds=options.settle,
         plan=GREY if options.grey else usual.plan,
     )
 

@@ -23,23 +23,16 @@ from jaxmocap.silhouette.points import BodyPoints, PointRays, contour_rays
 from jaxmocap.silhouette.surfaces.index_image import subsampled
 from jaxmocap.silhouette.surfaces.rim import Rim
 
-
-class MatchSettings(NamedTuple):
-    """What makes a pair.
-
-    Attributes:
-        pixels: kept of each camera's contour, evenly along it; static.
-        normal_weight: cells of the rim's canvas that a radian between normals is worth, nearly.
-        least_cosine: least cosine between the normals of a pair.
-        largest_distance: cells between the two of a pair, at most.
-        along_weight: weight of a pair along the contour, by that across.
-    """
-
-    pixels: int = 256
-    normal_weight: float = 20.0
-    least_cosine: float = 0.5
-    largest_distance: float = 40.0
-    along_weight: float = 0.1
+# Pixels kept of each camera's contour, evenly along it.
+PIXELS = 256
+# Cells of the rim's canvas that a radian between normals is worth, nearly.
+NORMAL_WEIGHT = 20.0
+# Least cosine between the normals of a pair.
+LEAST_COSINE = 0.5
+# Cells between the two of a pair, at most.
+LARGEST_DISTANCE = 40.0
+# Weight of a pair along the contour, by that across.
+ALONG_WEIGHT = 0.1
 
 
 class Contour(NamedTuple):
@@ -72,7 +65,7 @@ class Matches(NamedTuple):
     valid: np.ndarray
 
 
-def matched_pairs(rim: Rim, contours: Sequence[Contour], settings: MatchSettings) -> Matches:
+def matched_pairs(rim: Rim, contours: Sequence[Contour]) -> Matches:
     """Pairs of the rims' outer points and the contours of C cameras, however those were found."""
     rows = []
     for camera, contour in enumerate(contours):
@@ -80,7 +73,7 @@ def matched_pairs(rim: Rim, contours: Sequence[Contour], settings: MatchSettings
         outline = ~rim.inner[camera]
         nodes, pixels, normals, real = (part[camera][outline] for part in rim[:3] + rim[4:5])
         scale = float(rim.region.scale[camera])
-        rows.append(_matched(nodes, pixels, normals, real, contour, scale, settings))
+        rows.append(_matched(nodes, pixels, normals, real, contour, scale))
     return Matches(*(np.stack(parts) for parts in zip(*rows, strict=True)))
 
 
@@ -91,17 +84,16 @@ def _matched(
     kept: np.ndarray,
     contour: Contour,
     scale: float,
-    settings: MatchSettings,
 ) -> Matches:
     """One camera's pairs: first from every rim point, then from pixels of the contour."""
-    width = len(nodes) + settings.pixels
+    width = len(nodes) + PIXELS
     if not kept.any() or not len(contour.pixels_xy):
         empty = np.zeros(width, np.float32)
         places = np.zeros((width, 2), np.float32)
         return Matches(np.zeros(width, nodes.dtype), places, places, empty, np.zeros(width, bool))
-    chosen = Contour(*subsampled(contour, settings.pixels))
+    chosen = Contour(*subsampled(contour, PIXELS))
     rims = np.flatnonzero(kept)
-    turn = settings.normal_weight * scale
+    turn = NORMAL_WEIGHT * scale
     to_contour = KDTree(_places(*contour, turn)).query(_places(pixels, normals, turn))[1]
     to_rim = rims[
         KDTree(_places(pixels[rims], normals[rims], turn)).query(_places(*chosen, turn))[1]
@@ -111,8 +103,8 @@ def _matched(
     ways = np.concatenate([contour.normals[to_contour], chosen.normals])
     real = np.concatenate([kept, np.ones(len(to_rim), bool)])
     away = np.linalg.norm(there - pixels[which], axis=1)
-    real &= np.sum(ways * normals[which], 1) > settings.least_cosine
-    real &= away < settings.largest_distance * scale
+    real &= np.sum(ways * normals[which], 1) > LEAST_COSINE
+    real &= away < LARGEST_DISTANCE * scale
     matches = Matches(nodes[which], there, ways, np.where(real, away, 0.0), real)
     return Matches(*(_filled(part, width) for part in matches))
 

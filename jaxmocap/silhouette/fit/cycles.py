@@ -19,10 +19,14 @@ from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.device_functions import ContourPairs, fit, free_pose
-from jaxmocap.silhouette.fit.correspond import Matches, matched_pairs
+from jaxmocap.silhouette.fit.correspond import ALONG_WEIGHT, Matches, matched_pairs
 from jaxmocap.silhouette.fit.settling import has_settled
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, TermEvidence
-from jaxmocap.silhouette.segmentation.inner_edges import concatenated, inner_edge_pairs
+from jaxmocap.silhouette.segmentation.inner_edges import (
+    EDGE_WEIGHT,
+    concatenated,
+    inner_edge_pairs,
+)
 from jaxmocap.silhouette.segmentation.outlines import Outlines, find_outlines
 from jaxmocap.silhouette.segmentation.segment import Histograms
 from jaxmocap.silhouette.settings import Cycle, Settings
@@ -149,12 +153,12 @@ def fit_pose(
     for cycle in rest:
         fitted = _fitted(constants, body, frame, prior, cycle, fitted.result.pose, fitted)
     again = s.cycles[-1]._replace(segments=True)
-    for _ in range(s.settling.rounds):
+    for _ in range(s.settling_rounds):
         before = fitted
         fitted = _fitted(constants, body, frame, prior, again, before.result.pose, before)
         poses = before.result.pose, fitted.result.pose
         contours = before.outlines.contours, fitted.outlines.contours
-        if has_settled(body.shape.skeleton, poses, contours, s.settling):
+        if has_settled(body.shape.skeleton, poses, contours):
             break
     return fitted
 
@@ -199,19 +203,18 @@ def _paired(
 ) -> tuple[NodePairs, np.ndarray, np.ndarray]:
     """Pairs of rim and contour and of inner edges; shares that matched; cameras (C,) that count."""
     s = constants.settings
-    matches = matched_pairs(rim, outlines.contours, s.match)
+    matches = matched_pairs(rim, outlines.contours)
     counts = [len(contour.pixels_xy) for contour in outlines.contours]
     shares = matched_shares(rim, matches, counts)
     used = used & (shares >= s.least_matched_share)
-    edges = inner_edge_pairs(frame.images, rim, constants.carriers, s.edges)
-    weights = np.concatenate([matches.valid, s.edges.weight * edges.valid], 1)
+    edges = inner_edge_pairs(frame.images, rim, constants.carriers)
+    weights = np.concatenate([matches.valid, EDGE_WEIGHT * edges.valid], 1)
     matches = concatenated(matches, edges)
     weights = (weights * used[:, None]).astype(np.float32)
     points = body.shape.points(matches.nodes, level)
     moves = constants.finder.moves(matches.nodes)
-    along_weight = s.match.along_weight
     pixels, normals = matches.pixels_xy, matches.normals
-    pairs = ContourPairs(points, pixels, normals, weights, moves, along_weight)
+    pairs = ContourPairs(points, pixels, normals, weights, moves, ALONG_WEIGHT)
     return NodePairs(matches.nodes, pairs), shares, used
 
 

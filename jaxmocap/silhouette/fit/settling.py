@@ -7,7 +7,6 @@ INPUTS: poses and contours of two rounds, one after the other. OUTPUTS: whether 
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -17,34 +16,24 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.silhouette.first_pose import landmark_points
 from jaxmocap.silhouette.fit.correspond import Contour
 
-
-class SettlingSettings(NamedTuple):
-    """How long segmentation and pose alternate.
-
-    Attributes:
-        rounds: of a segmentation and a solve after a frame's cycles, at most; 0 for none.
-        pose_m: a pose has settled where its landmarks move no farther in a round, on average,
-            metres. What outlines hardly determine, as a hand's turn, moves on by more.
-        contour_px: contours have settled where their points lie no farther across those of the
-            round before, on average, pixels.
-    """
-
-    rounds: int = 0
-    pose_m: float = 0.001
-    contour_px: float = 0.1
+# A pose has settled where its landmarks move no farther in a round, on average, metres. What
+# outlines hardly determine, as a hand's turn, moves on by more.
+POSE_M = 0.001
+# Contours have settled where their points lie no farther across those of the round before, on
+# average, pixels.
+CONTOUR_PX = 0.1
 
 
 def has_settled(
     skeleton: Skeleton,
     poses: tuple[Pose, Pose],
     contours: tuple[Sequence[Contour], Sequence[Contour]],
-    settings: SettlingSettings,
 ) -> bool:
     """Whether poses and cameras' contours of a round are those of the round before."""
     here, there = (np.asarray(landmark_points(skeleton, pose)) for pose in poses)
-    if np.linalg.norm(there - here, axis=1).mean() > settings.pose_m:
+    if np.linalg.norm(there - here, axis=1).mean() > POSE_M:
         return False
-    return contours_apart(*contours) <= settings.contour_px
+    return contours_apart(*contours) <= CONTOUR_PX
 
 
 def contours_apart(before: Sequence[Contour], now: Sequence[Contour]) -> float:

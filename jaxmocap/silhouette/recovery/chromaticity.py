@@ -15,10 +15,17 @@ import numpy as np
 
 from jaxmocap.images.canvases import resampled_values
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.recovery.settings import ChromaticitySettings
 
 # A colour darker than this has no chromaticity, grey levels of all three channels together.
 DARKEST = 60.0
+# Deviation of a chromaticity about its mean, shares of all three colours.
+DEVIATION = 0.04
+# Half squared deviations are cut off here.
+LARGEST_COST = 8.0
+# Weight of a new frame in the mean, at least.
+LEAST_WEIGHT = 0.05
+# A point so far behind the nearest about its cell is visible as well.
+DEPTH_MARGIN_M = 0.05
 # Cells about a point that it covers, columns and rows: as points lie apart.
 WINDOW = (3, 3)
 
@@ -39,15 +46,13 @@ class BodyAppearance(NamedTuple):
         """Before the first frame."""
         return cls(np.zeros((points, 3), np.float32), np.zeros(points, int))
 
-    def updated(
-        self, chromaticities: np.ndarray, visible: np.ndarray, settings: ChromaticitySettings
-    ) -> "BodyAppearance":
+    def updated(self, chromaticities: np.ndarray, visible: np.ndarray) -> "BodyAppearance":
         """After a frame with chromaticities (C, N, 3) of the points visible in it, (C, N) bool."""
         counted = visible & np.isfinite(chromaticities[..., 0])
         count = counted.sum(0)
         sums = np.where(counted[..., None], chromaticities, 0).sum(0)
         mean = sums / np.maximum(count, 1)[:, None]
-        gain = np.maximum(settings.least_gain, 1 / (self.frames + 1))
+        gain = np.maximum(LEAST_WEIGHT, 1 / (self.frames + 1))
         gain = np.where(count > 0, gain, 0)[:, None]
         after = self.chromaticities + gain * (mean - self.chromaticities)
         return BodyAppearance(after.astype(np.float32), self.frames + (count > 0))
@@ -97,19 +102,15 @@ class PointCells(NamedTuple):
         about, edge = np.ones(WINDOW, np.uint8), cv2.BORDER_REPLICATE
         return np.stack([cv2.erode(grid, about, borderType=edge) for grid in grids])
 
-    def visible(self, nearest: np.ndarray, settings: ChromaticitySettings) -> np.ndarray:
+    def visible(self, nearest: np.ndarray) -> np.ndarray:
         """(C, N) bool: points on the canvases that nothing nearer, (C, S, S) depths, hides."""
         flat = nearest.reshape(len(nearest), -1)
         flat = np.pad(flat, ((0, 0), (0, 1)), constant_values=-np.inf)
-        limit = np.take_along_axis(flat, self.cells, 1) + settings.depth_margin_m
+        limit = np.take_along_axis(flat, self.cells, 1) + DEPTH_MARGIN_M
         return self.depths < limit
 
     def appearance_cost(
-        self,
-        chromaticities: np.ndarray,
-        appearance: BodyAppearance,
-        visible: np.ndarray,
-        settings: ChromaticitySettings,
+        self, chromaticities: np.ndarray, appearance: BodyAppearance, visible: np.ndarray
     ) -> np.ndarray:
         """(C, S, S) half squared deviations of (C, S, S, 3) from those of points visible (C, N).
 
@@ -127,7 +128,7 @@ class PointCells(NamedTuple):
             there = (sums[..., 3] > 1e-6) & np.isfinite(shown[..., 0])
             expected = sums[there, :3] / sums[there, 3:]
             squares = np.sum((shown[there] - expected) ** 2, -1)
-            cost[there] = np.minimum(squares / (2 * settings.deviation**2), settings.largest_cost)
+            cost[there] = np.minimum(squares / (2 * DEVIATION**2), LARGEST_COST)
         return costs
 
 

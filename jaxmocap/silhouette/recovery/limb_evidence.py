@@ -23,7 +23,13 @@ from jaxmocap.silhouette.recovery.limb_likelihood import (
 )
 from jaxmocap.silhouette.recovery.limbs import LimbChain, bins_along, carriers, halves_of
 from jaxmocap.silhouette.recovery.projected_body import ProjectedBody
-from jaxmocap.silhouette.recovery.settings import RecoverySettings
+
+# Person without a body counts within a limb's length times this,
+REACH = 1.6
+# by cells that are so much likelier person than not.
+PERSON_LOG_RATIO = 1.5
+# Log-ratios are no less than minus this: half of a limb in the right place is a beginning.
+WEAKEST_REST = 0.7
 
 
 class EvidenceFinder:
@@ -40,10 +46,9 @@ class EvidenceFinder:
         cameras: Camera,
         limbs: dict[str, LimbChain],
         points: BodyPoints,
-        settings: RecoverySettings,
     ):
         """Prepare for N points of the body and C cameras (stacked)."""
-        self._skeleton, self._limbs, self._settings = skeleton, tuple(limbs.values()), settings
+        self._skeleton, self._limbs = skeleton, tuple(limbs.values())
         carrier = carriers(points)
         halves = [half for limb in self._limbs for half in halves_of(limb)]
         self.nodes = np.array([np.isin(carrier, half.bones[half.radii > 0]) for half in halves])
@@ -55,7 +60,7 @@ class EvidenceFinder:
         ]
         lengths = np.asarray(skeleton.lengths)
         self._reaches = np.array([
-            settings.reach * lengths[limb.bones].sum() for limb in self._limbs
+            REACH * lengths[limb.bones].sum() for limb in self._limbs
         ])  # fmt: skip
         self._areas = np.array([
             2 * (limb.radii * lengths[limb.bones]).sum() for limb in self._limbs
@@ -82,16 +87,15 @@ class EvidenceFinder:
             appearance: of the body's points.
             depths: of ``nearest_depths``.
         """
-        s, rest, cells = self._settings, ~self._on(number), projected.cells
-        colour = s.likelihood.chromaticity
+        rest, cells = ~self._on(number), projected.cells
         depth = np.delete(depths, number, 0).min(0)
-        visible = cells.visible(depth, colour) & rest
-        cost = cells.appearance_cost(projected.chromaticities, appearance, visible, colour)
+        visible = cells.visible(depth) & rest
+        cost = cells.appearance_cost(projected.chromaticities, appearance, visible)
         count = len(self._limbs[number].bones)
         means = appearance.means(self._bins[number], count * len(ALONG_BONE))
         means = means.reshape(count, len(ALONG_BONE), 3)
         colours = LimbAppearance(projected.chromaticities, cost, depth, means)
-        alone = np.maximum(projected.log_ratios, np.float32(-s.weakest_rest))
+        alone = np.maximum(projected.log_ratios, np.float32(-WEAKEST_REST))
         log_ratios = np.where(np.isfinite(depth), np.float32(0), alone)
         obstacles = _obstacles(self._skeleton, projected.pose, self._rings[number])
         return LimbEvidence(log_ratios, projected.region, projected.used, colours, obstacles)
@@ -99,7 +103,7 @@ class EvidenceFinder:
     def unexplained(self, projected: ProjectedBody) -> np.ndarray:
         """(L,) area of person that nothing explains within each limb's reach, by the limb's."""
         every = np.ones(projected.pixels.shape[1], bool)
-        likely = projected.log_ratios > self._settings.person_log_ratio
+        likely = projected.log_ratios > PERSON_LOG_RATIO
         left = likely & ~projected.covered(every)
         area, size = np.zeros((2, len(self._limbs)))
         for camera in np.flatnonzero(projected.used):

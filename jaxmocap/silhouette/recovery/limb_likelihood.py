@@ -24,8 +24,8 @@ from jaxmocap.geometry.cameras import Camera, depth, pixels_per_metre, project
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.images.regions import Region
 from jaxmocap.images.sampling import look_up
+from jaxmocap.silhouette.recovery.chromaticity import DEVIATION, LARGEST_COST
 from jaxmocap.silhouette.recovery.limbs import LimbChain, bone_ends
-from jaxmocap.silhouette.recovery.settings import LimbLikelihood
 
 # Nodes kept of a ring.
 RING_NODES = 12
@@ -96,6 +96,18 @@ ALONG_BONE = np.linspace(0.06, 0.94, 8)
 ACROSS_BONE = np.array([-0.6, 0.0, 0.6])
 # No limb is taken for nearer to a camera than this, metres.
 NEAREST_M = 0.3
+# Log-ratio of what surely has the limb's chromaticity and not that of the rest.
+LARGEST_COLOUR = 2.5
+# Half the squared deviations from the limb's chromaticity beyond which any is likelier: about the
+# log of a normal density at its mean by an even one.
+OTHER_COST = 4.0
+# Log-ratio of what is neither background nor body, nor of the limb's chromaticity: the limb may be
+# behind it.
+OCCLUDER = 0.1
+# Of lying wholly within other parts of the body.
+PENETRATION_COST = 1.0
+# However little is visible of a limb, another place must show more than this.
+LEAST_VISIBLE = -0.05
 
 
 class LimbAppearance(NamedTuple):
@@ -139,7 +151,6 @@ def explained_log_ratio(
     pose: Pose,
     limb: LimbChain,
     evidence: LimbEvidence,
-    likelihood: LimbLikelihood,
     least: float = -np.inf,
 ) -> Array:
     """() mean log-ratio of where the limb would be visible, by its size if all of it were.
@@ -152,32 +163,26 @@ def explained_log_ratio(
         pose: of the person.
         limb: of it.
         evidence: what cameras show.
-        likelihood: static.
-        least: mean log-ratio, no less than which it counts. ``likelihood.least_visible`` is for the
-            pose that another must explain more than: what contradicts a limb may be a thing before
-            it, or be the limb itself, learned as background. Else it were better off wherever
-            nothing of it is visible.
+        least: mean log-ratio, no less than which it counts. ``LEAST_VISIBLE`` is for the pose that
+            another must explain more than: what contradicts a limb may be a thing before it, or be
+            the limb itself, learned as background. Else it were better off wherever nothing of it
+            is visible.
     """
     near, far = bone_ends(skeleton, pose, limb)
-    gained, _, full = _summed(skeleton, cameras, (near, far), limb, evidence, likelihood)
+    gained, _, full = _summed(skeleton, cameras, (near, far), limb, evidence)
     visible = jnp.maximum(gained / jnp.maximum(full, 1.0), least)
     if evidence.obstacles is None:
         return visible
     share = penetrating_share(near, far, jnp.asarray(limb.radii), evidence.obstacles)
-    return visible - likelihood.penetration_cost * share
+    return visible - PENETRATION_COST * share
 
 
 def visible_log_ratio(
-    skeleton: Skeleton,
-    cameras: Camera,
-    pose: Pose,
-    limb: LimbChain,
-    evidence: LimbEvidence,
-    likelihood: LimbLikelihood,
+    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: LimbChain, evidence: LimbEvidence
 ) -> Array:
     """() mean log-ratio of where the limb is visible; 0 where it is in no image."""
     ends = bone_ends(skeleton, pose, limb)
-    gained, visible, _ = _summed(skeleton, cameras, ends, limb, evidence, likelihood)
+    gained, visible, _ = _summed(skeleton, cameras, ends, limb, evidence)
     return gained / jnp.maximum(visible, 1.0)
 
 
@@ -187,7 +192,6 @@ def _summed(
     ends: tuple[Array, Array],
     limb: LimbChain,
     evidence: LimbEvidence,
-    likelihood: LimbLikelihood,
 ) -> tuple[Array, Array, Array]:
     """Over the cameras that count: log-ratios of the limb's cells, how many, how many in full."""
     log_ratios, radii = jnp.asarray(evidence.log_ratios), jnp.asarray(limb.radii)
@@ -197,8 +201,7 @@ def _summed(
     def one(
         camera: Camera, log_ratios: Array, region: Region, appearance: LimbAppearance | None
     ) -> tuple[Array, Array, Array]:
-        sizes = radii, lengths
-        return _of_camera(camera, ends, sizes, region, log_ratios, appearance, likelihood)
+        return _of_camera(camera, ends, (radii, lengths), region, log_ratios, appearance)
 
     each = None if appearance is None else LimbAppearance(0, 0, 0, None)  # type: ignore[arg-type]
     sums = jax.vmap(one, (0, 0, 0, each))(cameras, log_ratios, region, appearance)
@@ -214,7 +217,6 @@ def _of_camera(
     region: Region,
     log_ratios: Array,
     appearance: LimbAppearance | None,
-    likelihood: LimbLikelihood,
 ) -> tuple[Array, Array, Array]:
     """Of one camera: the sum of log-ratios over the limb's cells, how many, how many in full.
 
@@ -241,7 +243,7 @@ def _of_camera(
     there = look_up(log_ratios[None], jnp.zeros((), jnp.int32), x, y)
     if appearance is not None:
         deep = depths[0][:, None] + along * (depths[1] - depths[0])[:, None] - radii[:, None] / 2
-        there = _by_colour(there, x, y, deep, appearance, likelihood)
+        there = _by_colour(there, x, y, deep, appearance)
     there = jnp.where(counts, there, 0.0)
     width = 2 * cells * radii
     gained = jnp.sum(jnp.mean(there, (1, 2)) * length * width)
@@ -250,12 +252,7 @@ def _of_camera(
 
 
 def _by_colour(
-    log_ratios: Array,
-    x: Array,
-    y: Array,
-    depths: Array,
-    appearance: LimbAppearance,
-    likelihood: LimbLikelihood,
+    log_ratios: Array, x: Array, y: Array, depths: Array, appearance: LimbAppearance
 ) -> Array:
     """Log-ratios (B, A, W) of cells, by their chromaticities too, of a limb's places (B, A).
 
@@ -263,7 +260,6 @@ def _by_colour(
     the limb is a third thing: no sign of the limb there, and a faint one beside the body, as it may
     hide it.
     """
-    colour, largest = likelihood.chromaticity, likelihood.largest_colour
     edge = appearance.body_depth.shape[0] - 1
     row, column = (jnp.clip(jnp.rint(part), 0, edge).astype(jnp.int32) for part in (y, x))
     # One look-up of all is faster than one of each.
@@ -272,12 +268,12 @@ def _by_colour(
     shown, body_cost, body_depth = there[..., :3], there[..., 3], there[..., 4]
     limb = appearance.limb_chromaticities[:, :, None]
     is_learned = (limb[..., 0] >= 0) & jnp.isfinite(shown[..., 0])
-    cost = jnp.sum((jnp.nan_to_num(shown) - limb) ** 2, -1) / (2 * colour.deviation**2)
-    cost = jnp.where(is_learned, jnp.minimum(cost, colour.largest_cost), 0.0)
+    cost = jnp.sum((jnp.nan_to_num(shown) - limb) ** 2, -1) / (2 * DEVIATION**2)
+    cost = jnp.where(is_learned, jnp.minimum(cost, LARGEST_COST), 0.0)
     before = is_learned & (body_cost > 0) & (depths[..., None] < body_depth)
-    own = jnp.clip(likelihood.other_cost - cost, 0.0, largest)
-    either = jnp.where(before, jnp.clip(body_cost - cost, -largest, own), 0.0)
-    faint = jnp.minimum(log_ratios, likelihood.occluder)
+    own = jnp.clip(OTHER_COST - cost, 0.0, LARGEST_COLOUR)
+    either = jnp.where(before, jnp.clip(body_cost - cost, -LARGEST_COLOUR, own), 0.0)
+    faint = jnp.minimum(log_ratios, OCCLUDER)
     alone = jnp.where(log_ratios > 0, jnp.maximum(log_ratios - cost, faint), log_ratios)
     return jnp.where(jnp.isfinite(body_depth), either, alone)
 

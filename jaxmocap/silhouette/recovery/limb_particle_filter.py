@@ -14,7 +14,6 @@ frame.
 
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -25,12 +24,20 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.silhouette.recovery.limb_likelihood import (
+    LEAST_VISIBLE,
     LimbEvidence,
     explained_log_ratio,
 )
 from jaxmocap.silhouette.recovery.limbs import LimbChain, with_angles
-from jaxmocap.silhouette.recovery.settings import LimbLikelihood, LimbSearchSettings
 
+# Of the particles so many are drawn evenly from all of the joints' ranges, at first.
+UNIFORM_SHARE = 0.35
+# Deviations of the others about those before, layer by layer, radians,
+SPREADS = (0.5, 0.25, 0.1)
+# and by what a log-ratio counts in the weights.
+INVERSE_TEMPERATURES = (4.0, 10.0, 25.0)
+# Of an angle about the pose given, radians: of two that explain alike, the nearer.
+ANGLE_DEVIATION = 2.0
 # So many particles are fitted.
 FITTED_PARTICLES = 3
 # They differ by so much in their angles' root mean square, radians.
@@ -53,7 +60,7 @@ class LimbSearchResult(NamedTuple):
     baseline: Array
 
 
-@partial(jax.jit, static_argnames="likelihood")
+@jax.jit
 def search_limb(
     skeleton: Skeleton,
     cameras: Camera,
@@ -62,8 +69,6 @@ def search_limb(
     evidence: LimbEvidence,
     particles: Array,
     key: Array,
-    settings: LimbSearchSettings,
-    likelihood: LimbLikelihood,
 ) -> LimbSearchResult:
     """Search a limb's angles.
 
@@ -76,30 +81,26 @@ def search_limb(
         particles: (P, K) angles of the frame before; the pose's own where the limb was in its
             place.
         key: of the pseudo-random numbers: the same gives the same.
-        settings: traced.
-        likelihood: static.
     """
     here, limits = pose.angles[limb.joints], skeleton.limits[limb.joints]
 
     def explained(pose: Pose, least: float = -math.inf) -> Array:
-        return explained_log_ratio(skeleton, cameras, pose, limb, evidence, likelihood, least)
+        return explained_log_ratio(skeleton, cameras, pose, limb, evidence, least)
 
     def weigh(angles: Array) -> tuple[Array, Array]:
         gains = jax.vmap(lambda each: explained(with_angles(pose, limb, each)))(angles)
-        distance = jnp.mean((angles - here) ** 2, -1) / settings.angle_deviation**2
+        distance = jnp.mean((angles - here) ** 2, -1) / ANGLE_DEVIATION**2
         return gains, gains - distance / 2
 
-    left, angles, gains, scores = _layers(particles, key, limits, settings, weigh)
+    left, angles, gains, scores = _layers(particles, key, limits, weigh)
     best = distinct_particles(angles, scores)
-    baseline = explained(pose, likelihood.least_visible)
-    return LimbSearchResult(left, angles[best], gains[best], baseline)
+    return LimbSearchResult(left, angles[best], gains[best], explained(pose, LEAST_VISIBLE))
 
 
 def _layers(
     particles: Array,
     key: Array,
     limits: Array,
-    settings: LimbSearchSettings,
     weigh: Callable[[Array], tuple[Array, Array]],
 ) -> tuple[Array, Array, Array, Array]:
     """Particles (P, K) after all layers; angles (N, K), gains and scores (N,) of every layer's.
@@ -108,7 +109,6 @@ def _layers(
         particles: (P, K) to begin with.
         key: of the pseudo-random numbers.
         limits: (K, 2) of their angles.
-        settings: of the layers.
         weigh: the gains and the scores (P,) of angles (P, K).
     """
 
@@ -122,10 +122,10 @@ def _layers(
         return (kept, jnp.zeros_like(uniform_share)), (angles, gains, scores)
 
     dtype = particles.dtype
-    spreads = jnp.asarray(settings.spreads, dtype)
-    temperatures = jnp.asarray(settings.inverse_temperatures, dtype)
+    spreads = jnp.asarray(SPREADS, dtype)
+    temperatures = jnp.asarray(INVERSE_TEMPERATURES, dtype)
     keys = jax.random.split(key, len(spreads))
-    carry = particles, jnp.asarray(settings.uniform_share, dtype)
+    carry = particles, jnp.asarray(UNIFORM_SHARE, dtype)
     (left, _), layers = jax.lax.scan(layer, carry, (keys, spreads, temperatures))
     angles, gains, scores = (jnp.concatenate(part) for part in layers)
     return left, angles, gains, scores

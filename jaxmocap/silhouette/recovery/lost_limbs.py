@@ -27,7 +27,7 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.silhouette.recovery import limb_likelihood
 from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance, chromaticity_at
 from jaxmocap.silhouette.recovery.limb_evidence import EvidenceFinder
-from jaxmocap.silhouette.recovery.limb_likelihood import LimbEvidence
+from jaxmocap.silhouette.recovery.limb_likelihood import LEAST_VISIBLE, LimbEvidence
 from jaxmocap.silhouette.recovery.limb_particle_filter import (
     LimbSearchResult,
     search_limb,
@@ -41,9 +41,23 @@ from jaxmocap.silhouette.recovery.limbs import (
 )
 from jaxmocap.silhouette.recovery.part_appearance import PartAppearance
 from jaxmocap.silhouette.recovery.projected_body import BodyProjector, ProjectedBody
-from jaxmocap.silhouette.recovery.settings import LimbSearchSettings, RecoverySettings
 
-_explained = jax.jit(limb_likelihood.explained_log_ratio, static_argnames=("likelihood", "least"))
+# Unexplained person, by the limb's own size, that calls for a search,
+UNEXPLAINED_SHARE = 0.08
+# also of a limb that explains less than this there; where nothing is unexplained, of one that
+# explains less than minus the other.
+WEAK, CONTRADICTED = 0.2, 0.1
+# Mean log-ratio by which a better place must explain more;
+LEAST_GAIN = 0.15
+# the same of a place where an earlier pass found the limb, if that is so far away.
+EARLIER_GAIN, EARLIER_DISTANCE_M = 0.08, 0.05
+# A part whose cells are less likely person than this is hidden.
+HIDDEN_LOG_RATIO = 0.0
+# Frames after a search that found nothing, at most; twice as long each time.
+LONGEST_WAIT = 2
+# A place that explains more by this share of ``LEAST_GAIN`` is not nothing.
+PROMISING_SHARE = 0.5
+_explained = jax.jit(limb_likelihood.explained_log_ratio, static_argnames="least")
 
 
 @program("full")
@@ -54,8 +68,7 @@ def _log_ratios_of_parts(
 
     def one(radii: Array | np.ndarray, bones: Array | np.ndarray) -> Array:
         part = LimbChain(bones, parts.joints, radii)  # type: ignore[arg-type]
-        none = limb_likelihood.LimbLikelihood()
-        return limb_likelihood.visible_log_ratio(skeleton, cameras, pose, part, evidence, none)
+        return limb_likelihood.visible_log_ratio(skeleton, cameras, pose, part, evidence)
 
     return jax.vmap(one)(parts.radii, parts.bones)
 
@@ -107,18 +120,10 @@ class LimbRecovery:
         projector: lays poses over what the cameras show.
     """
 
-    def __init__(
-        self,
-        skeleton: Skeleton,
-        surface: Surface,
-        cameras: Camera,
-        particles: int,
-        settings: RecoverySettings,
-    ):
+    def __init__(self, skeleton: Skeleton, surface: Surface, cameras: Camera, particles: int):
         """Prepare for C cameras (stacked); traces once."""
-        self._skeleton, self._cameras = skeleton, cameras
-        self._particles, self._settings = particles, settings
-        self.projector = BodyProjector(skeleton, surface, cameras, settings.projection)
+        self._skeleton, self._cameras, self._particles = skeleton, cameras, particles
+        self.projector = BodyProjector(skeleton, surface, cameras)
         chains = limb_chains(skeleton, surface)
         self.names, self.limbs = tuple(chains), tuple(chains.values())
         halves = [half for limb in self.limbs for half in halves_of(limb)]
@@ -127,7 +132,7 @@ class LimbRecovery:
         moved = np.array(skeleton.tree.dof_bones)
         self.joints = np.array([np.isin(moved, each) for each in bones])
         points = self.projector.points
-        self.evidence = EvidenceFinder(skeleton, surface, cameras, chains, points, settings)
+        self.evidence = EvidenceFinder(skeleton, surface, cameras, chains, points)
 
     def empty_memory(self) -> LimbMemory:
         """Before the first frame."""
@@ -155,31 +160,28 @@ class LimbRecovery:
         That is no person by the densities, or not the colour that the part had. Nor are limbs
         visible that explain nothing; those that were ``relocated`` since are tested again.
         """
-        s, finder = self._settings, self.evidence
+        finder = self.evidence
         plain = LimbEvidence(projected.log_ratios, projected.region, projected.used)
         log_ratios = _log_ratios_of_parts(
             self._skeleton, self._cameras, projected.pose, self._halves, plain
         )
         used = zip(images, projected.used, strict=True)
         shown = [image if counts else None for image, counts in used]
-        strange, parts = memory.part_appearance.compared(
-            shown, projected.pixels, finder.nodes, s.parts
-        )
+        strange, parts = memory.part_appearance.compared(shown, projected.pixels, finder.nodes)
         contradicted = memory.contradicted.copy()
         depths = finder.nearest_depths(projected)
         for number in relocated:
             evidence = finder.of_limb(number, projected, memory.appearance, depths)
-            contradicted[number] = self._explains(number, evidence, projected.pose) < s.weak
-        hidden = (np.asarray(log_ratios) < s.hidden_log_ratio) | strange
+            contradicted[number] = self._explains(number, evidence, projected.pose) < WEAK
+        hidden = (np.asarray(log_ratios) < HIDDEN_LOG_RATIO) | strange
         hidden = hidden | np.repeat(contradicted, 2)
         # A near half that is hidden does not determine where the far one hangs.
         hidden[1::2] |= hidden[::2]
-        colour = s.likelihood.chromaticity
-        visible = projected.cells.visible(depths.min(0), colour)
+        visible = projected.cells.visible(depths.min(0))
         # Limbs that may be elsewhere have the colours of something else.
         unsure = np.any(finder.nodes[hidden], 0)
         colours = chromaticity_at(shown, projected.pixels)
-        appearance = memory.appearance.updated(colours, visible & ~unsure, colour)
+        appearance = memory.appearance.updated(colours, visible & ~unsure)
         after = memory._replace(
             part_appearance=parts, appearance=appearance, contradicted=contradicted
         )
@@ -189,26 +191,26 @@ class LimbRecovery:
         self, memory: LimbMemory, projected: ProjectedBody, earlier: Pose
     ) -> LimbProposal | None:
         """The pose with those limbs that explain more where an earlier pass found them."""
-        s, pose, moved, depths = self._settings, projected.pose, [], None
+        pose, moved, depths = projected.pose, [], None
         for number, limb in enumerate(self.limbs):
             angles = earlier.angles[limb.joints]
             away = _distance(self._skeleton, projected.pose, limb, angles)
-            if float(away) < s.earlier_distance_m:
+            if float(away) < EARLIER_DISTANCE_M:
                 continue
             there = with_angles(projected.pose, limb, angles)
             depths = self.evidence.nearest_depths(projected) if depths is None else depths
             evidence = self.evidence.of_limb(number, projected, memory.appearance, depths)
-            before = self._explains(number, evidence, projected.pose, s.likelihood.least_visible)
-            if self._explains(number, evidence, there) > before + s.earlier_gain:
+            before = self._explains(number, evidence, projected.pose, LEAST_VISIBLE)
+            if self._explains(number, evidence, there) > before + EARLIER_GAIN:
                 pose = with_angles(pose, limb, angles)
                 moved.append(number)
-        return LimbProposal((pose,), tuple(moved), s.earlier_gain) if moved else None
+        return LimbProposal((pose,), tuple(moved), EARLIER_GAIN) if moved else None
 
     def propose(
-        self, memory: LimbMemory, projected: ProjectedBody, how: LimbSearchSettings
+        self, memory: LimbMemory, projected: ProjectedBody
     ) -> tuple[LimbProposal | None, LimbMemory]:
         """Poses that explain more of the image than the present one, if there are any."""
-        finder, s, pose = self.evidence, self._settings, projected.pose
+        finder, pose = self.evidence, projected.pose
         missing, depths = finder.unexplained(projected), finder.nearest_depths(projected)
         evidence = [
             finder.of_limb(number, projected, memory.appearance, depths)
@@ -216,8 +218,8 @@ class LimbRecovery:
         ]
         explained = np.array([self._explains(k, each, pose) for k, each in enumerate(evidence)])
         # Where nothing explains a visible person, a limb that explains little is not there.
-        is_missing = missing >= s.unexplained_share
-        contradicted = explained < np.where(is_missing, s.weak, -s.contradicted)
+        is_missing = missing >= UNEXPLAINED_SHARE
+        contradicted = explained < np.where(is_missing, WEAK, -CONTRADICTED)
         doubtful = is_missing | contradicted
         # Where what contradicted a limb is gone it is searched for once more, and at once.
         back = memory.contradicted & ~doubtful
@@ -227,9 +229,9 @@ class LimbRecovery:
             if not doubtful[number] and not back[number]:
                 particles[number], failures[number] = None, 0
             elif waits[number] <= 0 or back[number]:
-                result = self._search(number, evidence[number], memory, poses[0], how)
+                result = self._search(number, evidence[number], memory, poses[0])
                 particles[number], baseline = np.asarray(result.particles), float(result.baseline)
-                better = np.asarray(result.gains) > baseline + s.least_gain
+                better = np.asarray(result.gains) > baseline + LEAST_GAIN
                 if better[0]:
                     count = max(len(poses), int(better.sum()))
                     poses += poses[-1:] * (count - len(poses))
@@ -238,10 +240,10 @@ class LimbRecovery:
                         for k, each in enumerate(poses)
                     ]
                     moved.append(number)
-                elif np.max(result.gains) < baseline + s.promising_share * s.least_gain:
-                    waits[number] = min(2 ** failures[number], s.longest_wait) + 1
+                elif np.max(result.gains) < baseline + PROMISING_SHARE * LEAST_GAIN:
+                    waits[number] = min(2 ** failures[number], LONGEST_WAIT) + 1
                     failures[number] += 1
-        proposal = LimbProposal(tuple(poses), tuple(moved), s.least_gain) if moved else None
+        proposal = LimbProposal(tuple(poses), tuple(moved), LEAST_GAIN) if moved else None
         return proposal, memory._replace(
             particles=tuple(particles),
             waits=np.maximum(waits, 0),
@@ -251,20 +253,15 @@ class LimbRecovery:
         )
 
     def _search(
-        self,
-        number: int,
-        evidence: LimbEvidence,
-        memory: LimbMemory,
-        pose: Pose,
-        how: LimbSearchSettings,
+        self, number: int, evidence: LimbEvidence, memory: LimbMemory, pose: Pose
     ) -> LimbSearchResult:
         """Of one limb, from the particles of the frame before or from where it is."""
         limb, old = self.limbs[number], memory.particles[number]
         if old is None:
             old = np.tile(np.asarray(pose.angles)[limb.joints], (self._particles, 1))
         key = jax.random.fold_in(jax.random.PRNGKey(memory.frame), number)
-        body, old = (self._skeleton, self._cameras), jnp.asarray(old)
-        return search_limb(*body, pose, limb, evidence, old, key, how, self._settings.likelihood)
+        body = self._skeleton, self._cameras
+        return search_limb(*body, pose, limb, evidence, jnp.asarray(old), key)
 
     def gain(
         self,
@@ -274,13 +271,13 @@ class LimbRecovery:
         appearance: BodyAppearance,
     ) -> float:
         """What some limbs explain more, together, in one pose than they did in another."""
-        finder, least = self.evidence, self._settings.likelihood.least_visible
+        finder = self.evidence
         new, old = finder.nearest_depths(after), finder.nearest_depths(before)
 
         def one(number: int) -> float:
             there = finder.of_limb(number, after, appearance, new)
             here = finder.of_limb(number, before, appearance, old)
-            baseline = self._explains(number, here, before.pose, least)
+            baseline = self._explains(number, here, before.pose, LEAST_VISIBLE)
             return self._explains(number, there, after.pose) - baseline
 
         return sum(one(number) for number in limbs)
@@ -289,9 +286,8 @@ class LimbRecovery:
         self, number: int, evidence: LimbEvidence, pose: Pose, least: float = -np.inf
     ) -> float:
         """What one limb of a pose explains of what is left for it; see ``explained_log_ratio``."""
-        likelihood, body = self._settings.likelihood, (self._skeleton, self._cameras)
-        limb = self.limbs[number]
-        return float(_explained(*body, pose, limb, evidence, likelihood=likelihood, least=least))
+        body, limb = (self._skeleton, self._cameras), self.limbs[number]
+        return float(_explained(*body, pose, limb, evidence, least=least))
 
 
 @program("full")

@@ -19,9 +19,17 @@ from jaxmocap.geometry.cameras import Camera, depth, project
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.recovery.chromaticity import PointCells, chromaticity_canvases
-from jaxmocap.silhouette.recovery.settings import ProjectionSettings
 from jaxmocap.silhouette.segmentation.canvas_coverage import covered_cells, extended_log_ratio
 from jaxmocap.silhouette.segmentation.outlines import Outlines
+
+# Of the surface's nodes one in so many is drawn,
+NODE_STRIDE = 8
+# and covers so many cells about it.
+CELL_MARGIN = 1
+# Of the canvas that limbs are searched on: cells, and extent by that of the segmentation's.
+SIZE, EXTENT = 96, 1.5
+# Log-ratio of what surely is, or is not, background beyond the segmentation.
+BACKGROUND_LOG_RATIO = 2.0
 
 
 class ProjectedBody(NamedTuple):
@@ -36,7 +44,6 @@ class ProjectedBody(NamedTuple):
         regions: of each camera's canvas.
         region: the same as one.
         used: (C,) bool.
-        cell_margin: cells about a point that it covers.
     """
 
     pose: Pose
@@ -47,13 +54,11 @@ class ProjectedBody(NamedTuple):
     regions: tuple[Region, ...]
     region: Region
     used: np.ndarray
-    cell_margin: int
 
     def covered(self, points: np.ndarray) -> np.ndarray:
         """(C, S, S) bool, what of the canvases some points (N,) bool of the body cover."""
-        size, margin = self.log_ratios.shape[-1], self.cell_margin
-        rows = zip(self.pixels, self.regions, strict=True)
-        return np.stack([covered_cells(at[points], region, size, margin) for at, region in rows])
+        size, rows = self.log_ratios.shape[-1], zip(self.pixels, self.regions, strict=True)
+        return np.stack([covered_cells(at[points], of, size, CELL_MARGIN) for at, of in rows])
 
 
 class BodyProjector:
@@ -63,13 +68,10 @@ class BodyProjector:
         points: N of the body's surface.
     """
 
-    def __init__(
-        self, skeleton: Skeleton, surface: Surface, cameras: Camera, settings: ProjectionSettings
-    ):
+    def __init__(self, skeleton: Skeleton, surface: Surface, cameras: Camera):
         """Prepare for C cameras (stacked); traces once."""
-        self._skeleton, self._cameras, self._settings = skeleton, cameras, settings
-        every = settings.node_stride
-        self.points = BodyPoints(*(np.asarray(part)[::every] for part in surface.points))
+        self._skeleton, self._cameras = skeleton, cameras
+        self.points = BodyPoints(*(np.asarray(part)[::NODE_STRIDE] for part in surface.points))
 
     def project(
         self,
@@ -80,13 +82,13 @@ class BodyProjector:
         backgrounds: Sequence[Background | None],
     ) -> ProjectedBody:
         """A pose over what was segmented, and what lies about that, of cameras (C,) that count."""
-        s, narrow = self._settings, zip(*map(np.asarray, outlines.region), strict=True)
+        narrow = zip(*map(np.asarray, outlines.region), strict=True)
         segmented = zip(
             np.asarray(outlines.segmentation.log_ratio), narrow, images, backgrounds, strict=True
         )
         parts = [
             extended_log_ratio(
-                ratio, Region(*region), image, background, s.size, s.extent, s.background_log_ratio
+                ratio, Region(*region), image, background, SIZE, EXTENT, BACKGROUND_LOG_RATIO
             )
             for ratio, region, image, background in segmented
         ]
@@ -94,12 +96,10 @@ class BodyProjector:
         region = Region(*(np.stack(part) for part in zip(*regions, strict=True)))
         log_ratios = np.stack([ratio for ratio, _ in parts])
         pixels, depths = self.pixels_and_depths(pose)
-        cells = PointCells.of(pixels, depths, region, s.size)
+        cells = PointCells.of(pixels, depths, region, SIZE)
         shown = [image if use else None for image, use in zip(images, used, strict=True)]
-        colours = chromaticity_canvases(shown, regions, s.size)
-        return ProjectedBody(
-            pose, pixels, cells, log_ratios, colours, regions, region, used, s.cell_margin
-        )
+        colours = chromaticity_canvases(shown, regions, SIZE)
+        return ProjectedBody(pose, pixels, cells, log_ratios, colours, regions, region, used)
 
     def pixels_and_depths(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """(C, N, 2) pixels of points all over the body, hidden or not, and (C, N) their depths."""

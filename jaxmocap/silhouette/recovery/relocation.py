@@ -87,7 +87,7 @@ def recover_limbs(
             proposal = recovery.earlier_proposal(limbs, best.projected, earlier.pose)
             best = _best_of(constants, body, proposal, limbs, frame, best, deviations)
             resumed = best.limbs
-        proposal, limbs = recovery.propose(limbs, best.projected, s.limb_search)
+        proposal, limbs = recovery.propose(limbs, best.projected)
         best = _best_of(constants, body, proposal, limbs, frame, best, deviations)
         searched = best.limbs
     moved = (*resumed, *searched)

@@ -4,7 +4,6 @@ INPUTS: images of C cameras, rims with their inner points. OUTPUTS: pairs like t
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,6 +15,15 @@ from jaxmocap.silhouette.surfaces.rim import Rim
 ALONG = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 # Samples next to the line, on either side, that mix the sides' colours.
 BETWEEN = 3
+# Cells of the rim's canvas to either side within which an edge is looked for, and samples there.
+REACH, SAMPLES = 4.0, 10
+# Two limbs' colours must lie so many times their deviations apart: an arm in a shirt before the
+# same shirt has no edge, though the shirt's pattern has.
+CONTRAST = 1.4
+# Of one bone's boundary that determine its two colours.
+LEAST_POINTS = 5
+# Of a pair, by that of the outline's.
+EDGE_WEIGHT = 0.5
 
 
 def colour_profiles(
@@ -65,57 +73,35 @@ def colour_boundary(profiles: np.ndarray) -> tuple[np.ndarray, float]:
     return place, float(np.sqrt(apart / max(spread, 1e-6)))
 
 
-class InnerEdgeSettings(NamedTuple):
-    """What makes a pair.
-
-    Attributes:
-        reach: cells of the rim's canvas to either side within which an edge is looked for.
-        samples: to either side.
-        contrast: two limbs' colours must lie so many times their deviations apart: an arm in a
-            shirt before the same shirt has no edge, though the shirt's pattern has.
-        least_points: of one bone's boundary that determine its two colours.
-        weight: of a pair, by that of the outline's.
-    """
-
-    reach: float = 4.0
-    samples: int = 10
-    contrast: float = 1.4
-    least_points: int = 5
-    weight: float = 0.5
-
-
-def inner_edge_pairs(
-    images: Sequence[np.ndarray | None], rim: Rim, bones: np.ndarray, settings: InnerEdgeSettings
-) -> Matches:
+def inner_edge_pairs(images: Sequence[np.ndarray | None], rim: Rim, bones: np.ndarray) -> Matches:
     """Pairs (C, R) of the rims' inner points and the edges next to them.
 
     Args:
         images: (H, W, 3) BGR uint8 of each camera, or None.
         rim: with inner points.
         bones: (M,) that carries each node of the rim's surface.
-        settings: of edges.
     """
-    rows = [_of_camera(image, rim, bones, camera, settings) for camera, image in enumerate(images)]
+    rows = [_of_camera(image, rim, bones, camera) for camera, image in enumerate(images)]
     return Matches(*(np.stack(parts) for parts in zip(*rows, strict=True)))
 
 
 def _of_camera(
-    image: np.ndarray | None, rim: Rim, bones: np.ndarray, camera: int, settings: InnerEdgeSettings
+    image: np.ndarray | None, rim: Rim, bones: np.ndarray, camera: int
 ) -> tuple[np.ndarray, ...]:
     """One camera's row of all fields."""
     inner = rim.inner[camera]
     nodes, pixels, normals, real = (part[camera][inner] for part in rim[:3] + rim[4:5])
     offset = np.full(len(nodes), np.nan, np.float32)
     if image is not None and real.any():
-        reach = settings.reach * float(rim.region.scale[camera])
-        offsets = np.linspace(-reach, reach, 2 * settings.samples + 1)
+        reach = REACH * float(rim.region.scale[camera])
+        offsets = np.linspace(-reach, reach, 2 * SAMPLES + 1)
         profiles = colour_profiles(image, pixels, normals, offsets)
         for bone in np.unique(bones[nodes[real]]):
             one = np.flatnonzero(real & (bones[nodes] == bone))
-            if len(one) < settings.least_points:
+            if len(one) < LEAST_POINTS:
                 continue
             place, apart = colour_boundary(profiles[one])
-            if apart > settings.contrast:
+            if apart > CONTRAST:
                 offset[one] = np.interp(place, np.arange(len(offsets)), offsets)
     is_detected = np.isfinite(offset)
     offset = np.where(is_detected, offset, 0.0)
