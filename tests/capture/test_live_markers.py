@@ -417,7 +417,7 @@ def test_a_socket_counts_what_it_ignores_and_takes_the_rest():
             send(datagram)
         wait_for(lambda: out)
         assert marker_socket.packets == 4 and marker_socket.last_arrival is not None
-        ((name, count),) = marker_socket.packets_by_sender().items()
+        ((name, count),) = marker_socket.senders.packets().items()
         assert name.startswith("127.0.0.1:") and count == 4
         assert dict(marker_socket.ignored) == {
             "malformed": 1,

@@ -17,7 +17,7 @@ from jaxmocap.capture.streams.udp import Datagram, MarkerSocket, OscTable
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
 from jaxmocap.pipelines.live.setup import load_live
-from jaxmocap.pipelines.live.stream_states import stream_states
+from jaxmocap.pipelines.live.status import stream_states
 
 RATE, FRAMES = 90.0, 40
 SERIALS = {"Hmd": "LHR-ヘッド", "Con": "LHR-FDF3A8C1", "Tra": "LHR-0E3D9A55"}
@@ -90,7 +90,7 @@ def test_virtual_motion_capture_is_one_sample_a_frame_among_all_that_it_sends(ra
     samples = taken.done()
     check_motion(samples, scale=1.0 if raw else SCALE)
     assert set(taken.socket.ignored) <= {"foreign", "flood"} and not taken.socket.ignored["flood"]
-    assert not taken.assembler.unknown_names and taken.socket.clock_jumps == 0
+    assert not taken.assembler.unknown_names and taken.socket.senders.clock_jumps == 0
     # The sender's rhythm, not the network's.
     intervals = np.diff([sample.time for sample in samples])[10:]
     np.testing.assert_allclose(intervals, 1 / RATE, atol=2e-4)
@@ -201,7 +201,7 @@ def test_two_programs_that_send_at_once_bring_all_markers():
     samples = taken.done()
     finite = np.isfinite([s.positions_world[:, 0] for s in samples])
     assert (finite.sum(0) == FRAMES).all() and (finite.sum(1) > 0).all()
-    assert (np.diff([s.time for s in samples]) > 0).all() and taken.socket.clock_jumps == 0
+    assert (np.diff([s.time for s in samples]) > 0).all() and taken.socket.senders.clock_jumps == 0
 
 
 def test_virtual_motion_capture_over_a_real_socket():

@@ -37,7 +37,7 @@ from jaxmocap.formats.time_series.csv import read_csv, write_csv
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.setup import LiveSetup, load_live
-from jaxmocap.pipelines.live.stream_states import _orientation_states
+from jaxmocap.pipelines.live.status import _orientation_states
 from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.synthetic.movements import motions
 

@@ -21,8 +21,13 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.outputs.senders.osc import DatagramSender
 from jaxmocap.pipelines.live.loop import THREAD_SWITCH_S
 from jaxmocap.pipelines.live.setup import load_live
-from jaxmocap.pipelines.live.status import FIRST_KEPT, NEWEST_KEPT, LiveStatus
-from jaxmocap.pipelines.live.stream_states import SILENT_S, stream_states
+from jaxmocap.pipelines.live.status import (
+    FIRST_KEPT,
+    NEWEST_KEPT,
+    SILENT_S,
+    LiveStatus,
+    stream_states,
+)
 
 
 def live_file(folder: Path, more: str) -> Path:
@@ -66,8 +71,8 @@ def test_two_senders_with_two_clocks_are_no_clock_that_jumps(line):
         at = i / 90
         line.bring(packet(0.0, 5000, at=at, stamp=at + 1000), packet(0.0, 5001, at=at, stamp=at))
         line.report_to(status)
-    assert line.socket.clock_jumps == 0
-    assert line.socket.packets_by_sender() == {"127.0.0.1:5000": 900, "127.0.0.1:5001": 900}
+    assert line.socket.senders.clock_jumps == 0
+    assert line.socket.senders.packets() == {"127.0.0.1:5000": 900, "127.0.0.1:5001": 900}
     assert not [each for each in status.messages if "clock" in each.what]
 
 
@@ -89,7 +94,7 @@ def test_a_clock_that_is_set_at_every_packet_is_reported_at_every_tenfold(line):
         at = i / 1000
         line.bring(packet(0.0, at=at, stamp=float(i % 7) * 100))
         line.report_to(status)
-    assert line.socket.clock_jumps > 10_000
+    assert line.socket.senders.clock_jumps > 10_000
     lines = [each.what for each in status.messages if "clock" in each.what]
     assert lines == [
         f"the sender's clock: was set, {10**digits} or more times" for digits in range(5)
@@ -108,7 +113,7 @@ def test_stamps_too_large_for_a_rhythm_are_left_out(stamp):
 def test_strangers_are_counted_named_and_otherwise_ignored(line):
     line.bring(*(packet(1.0, host=f"10.0.0.{i}") for i in range(200)), packet(2.0))
     assert line.socket.ignored["stranger"] == 200 and len(line.samples) == 1
-    assert len(line.socket.refused_hosts) == MAX_REFUSED_NAMED
+    assert len(line.socket.senders.refused_hosts) == MAX_REFUSED_NAMED
     states = dict(stream_states(line.socket, line.gathers, [], 0.0))
     assert states["stranger packets ignored"] == "100 or more"
     assert "10.0.0.0" in states["strangers"] and "[osc] from" in states["strangers"]
@@ -194,7 +199,7 @@ def test_under_a_flood_markers_come_in_all_the_time(line):
         waiting, more_wait = line.socket._waiting()
         line.socket.take(waiting, more_wait)
         assert more_wait and waiting and line.at - waiting[0].arrived < SILENT_S / 2
-    assert line.socket.clock_jumps == 0
+    assert line.socket.senders.clock_jumps == 0
 
 
 def test_a_thread_that_has_to_wait_does_not_say_that_nothing_comes_in(line):
@@ -235,12 +240,12 @@ def test_many_senders_share_what_few_have_alone(line):
     """A sender that opens a port for every packet is heard as well, without a clock."""
     for i in range(1000):
         line.bring(packet(float(i % 7), 1024 + i, at=i / 90, stamp=1e4 - i))
-    assert len(line.samples) == 1000 and line.socket.clock_jumps == 0
-    sent = line.socket.packets_by_sender()
+    assert len(line.samples) == 1000 and line.socket.senders.clock_jumps == 0
+    sent = line.socket.senders.packets()
     assert len(sent) <= MAX_SENDERS + 1 and sent["others"] > 900
     # Who falls silent makes room for somebody new.
     line.bring(packet(0.0, 9999, at=1000.0))
-    assert "127.0.0.1:9999" in line.socket.packets_by_sender()
+    assert "127.0.0.1:9999" in line.socket.senders.packets()
 
 
 # Messages ---------------------------------------------------------------------------------------

@@ -18,8 +18,7 @@ from jaxmocap.outputs.senders.unity import UnityBody
 from jaxmocap.outputs.senders.vmc import VMC, VmcTable
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.setup import LiveSetup, load_live
-from jaxmocap.pipelines.live.status import LiveStatus
-from jaxmocap.pipelines.live.stream_states import stream_states
+from jaxmocap.pipelines.live.status import LiveStatus, stream_states
 from jaxmocap.pipelines.live.tracking import LiveTracking
 
 resource = pytest.importorskip(

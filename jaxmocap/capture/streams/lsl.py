@@ -17,8 +17,8 @@ from typing import Any
 
 from jaxmocap.capture.streams.osc import MAX_DISTANCE_M, MarkerMessage, unit_quaternion
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
+from jaxmocap.capture.streams.senders import PacketSenders
 from jaxmocap.capture.streams.source import MarkerSource, SourceTable
-from jaxmocap.capture.streams.stream_clock import StreamClock
 from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 
@@ -35,11 +35,7 @@ METRES_PER_UNIT = {"": 1.0, "m": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, 
 
 
 class MarkerStream(MarkerSource):
-    """Listens to a stream; LSL itself decides who may send.
-
-    Attributes:
-        clock: the sender's.
-    """
+    """Listens to a stream; LSL itself decides who may send."""
 
     def __init__(
         self, table: "LslTable", assembler: SampleAssembler, now: Callable[[], float] = monotonic
@@ -53,26 +49,12 @@ class MarkerStream(MarkerSource):
             import pylsl
         except (ImportError, RuntimeError):
             raise InputError("[lsl]", "pylsl is missing: pip install 'jaxmocap[lsl]'") from None
-        super().__init__(f"the LSL stream {short_repr(table.stream)}", RESOLVE_TIMEOUT_S + 1.0)
+        address = f"the LSL stream {short_repr(table.stream)}"
+        super().__init__(address, RESOLVE_TIMEOUT_S + 1.0, PacketSenders())
         self._lsl: Any = pylsl
         self._numeric = {pylsl.cf_float32, pylsl.cf_double64, pylsl.cf_int64}
         self._numeric |= {pylsl.cf_int32, pylsl.cf_int16, pylsl.cf_int8}
-        self.clock = StreamClock()
         self._name, self._assembler, self._now = table.stream, assembler, now
-
-    @property
-    def clock_jumps(self) -> int:
-        """How often the sender's clock was set."""
-        return self.clock.jumps
-
-    @property
-    def clock_rate(self) -> float | None:
-        """Seconds of the sender's clock in each of ours, where that is not about one."""
-        return self.clock.rate
-
-    def packets_by_sender(self) -> dict[str, int]:
-        """Sender -> packets that came in from there."""
-        return {self._name: self.packets}
 
     def _listen(self) -> None:
         while not self._stop.is_set() and self.problem is None:
@@ -103,6 +85,7 @@ class MarkerStream(MarkerSource):
                 continue
             arrived = self._now()
             self.packets += 1
+            sender = self.senders.sender_at(self._name, arrived)
             messages = []
             for name, (first, scales, has_orientation) in channels.items():
                 x, y, z = (values[first + axis] * scale for axis, scale in enumerate(scales))
@@ -116,7 +99,7 @@ class MarkerStream(MarkerSource):
             if messages:
                 self.last_arrival = arrived
                 is_prompt = not inlet.samples_available()
-                time = self.clock.time(arrived, stamp, is_prompt)
+                time = sender.time(arrived, stamp, is_prompt)
                 self._assembler.add(messages, time, arrived, True)
             self.last_look = arrived
 

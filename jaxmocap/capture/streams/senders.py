@@ -78,7 +78,7 @@ class PacketSenders:
         """Nobody has sent yet; only these networks' packets count."""
         self._allowed = tuple(allowed)
         self._is_allowed: dict[str, bool] = {}
-        self._senders: dict[tuple[str, int], PacketSender] = {}
+        self._senders: dict[Address | str, PacketSender] = {}
         self._others: PacketSender | None = None
         self._earlier_jumps = 0
         self.refused_hosts: set[str] = set()
@@ -93,9 +93,9 @@ class PacketSenders:
             self.refused_hosts.add(host)
         return self._is_allowed[host]
 
-    def sender_at(self, host: str, port: int, now: float) -> PacketSender:
-        """The sender there."""
-        sender = self._senders.get((host, port)) or self._new_sender(host, port, now)
+    def sender_at(self, place: Address | str, now: float) -> PacketSender:
+        """The sender there, or of that name."""
+        sender = self._senders.get(place) or self._new_sender(place, now)
         sender.packets += 1
         sender.last_arrival = now
         return sender
@@ -117,7 +117,7 @@ class PacketSenders:
         rest = [] if self._others is None else [self._others]
         return {sender.name: sender.packets for sender in [*self._senders.values(), *rest]}
 
-    def _new_sender(self, host: str, port: int, now: float) -> PacketSender:
+    def _new_sender(self, place: Address | str, now: float) -> PacketSender:
         """A new sender, or the one that the rest share."""
         if len(self._senders) >= MAX_SENDERS:
             oldest = min(self._senders, key=lambda key: self._senders[key].last_arrival)
@@ -126,8 +126,8 @@ class PacketSenders:
                 return self._others
             gone = self._senders.pop(oldest)
             self._earlier_jumps += gone.clock.jumps if gone.clock else 0
-        self._senders[host, port] = PacketSender(str(Address(host, port)), StreamClock(), now)
-        return self._senders[host, port]
+        self._senders[place] = PacketSender(str(place), StreamClock(), now)
+        return self._senders[place]
 
 
 def fair_shares(counts: Mapping[Key, int], total: int) -> dict[Key, int]:

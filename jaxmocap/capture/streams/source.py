@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
+from jaxmocap.capture.streams.senders import PacketSenders
 from jaxmocap.formats.files.toml import TomlTable
 
 
@@ -58,35 +59,21 @@ class MarkerSource(Listener):
         last_look: when what had come in until then had last been read; a thread that has to wait
             for others says nothing about what comes in.
         problem: why nothing can come in, or None.
-        refused_hosts: hosts that sent and may not, the first of them.
+        senders: who sends, and their clocks.
         who_may_send: where the live file states that.
     """
 
     hints: ClassVar[Mapping[str, str]] = {}
     who_may_send: ClassVar[str] = ""
 
-    def __init__(self, address: Any, timeout_s: float):
+    def __init__(self, address: Any, timeout_s: float, senders: PacketSenders):
         """Prepare a thread, which takes so many seconds to end, at most."""
         super().__init__("markers", timeout_s)
-        self.address, self.ignored, self.packets = address, Counter[str](), 0
+        self.address, self.senders = address, senders
+        self.ignored, self.packets = Counter[str](), 0
         self.last_arrival: float | None = None
         self.last_look = -math.inf
         self.problem: str | None = None
-        self.refused_hosts: set[str] = set()
-
-    @property
-    @abstractmethod
-    def clock_jumps(self) -> int:
-        """How often a sender's clock was set."""
-
-    @property
-    @abstractmethod
-    def clock_rate(self) -> float | None:
-        """Seconds of a sender's clock in each of ours, where it runs too fast or too slowly."""
-
-    @abstractmethod
-    def packets_by_sender(self) -> dict[str, int]:
-        """Sender -> packets that came in from there."""
 
 
 class SourceTable(ABC):

@@ -63,9 +63,6 @@ class MarkerSocket(MarkerSource):
     What is ignored is "malformed", "absurd" (no number, or a place that no room has), "flood" (more
     than can be read), "foreign" (nothing about markers), "stranger" (from a host that may not
     send), or "scaled" (see ``osc.Packet``).
-
-    Attributes:
-        senders: who sends, and their clocks.
     """
 
     hints: ClassVar = {
@@ -82,25 +79,10 @@ class MarkerSocket(MarkerSource):
             InputError: the address cannot be had.
         """
         self._socket = _bound_socket(table.listen)
-        super().__init__(Address(table.listen.host, self._socket.getsockname()[1]), 1.0)
-        self.senders = PacketSenders(table.allowed)
-        self.refused_hosts = self.senders.refused_hosts
+        address = Address(table.listen.host, self._socket.getsockname()[1])
+        super().__init__(address, 1.0, PacketSenders(table.allowed))
         self._assembler, self._raw, self._now = assembler, table.raw, now
         self._bucket = TokenBucket(MAX_PACKETS_HZ, MAX_BURST, now())
-
-    @property
-    def clock_jumps(self) -> int:
-        """How often a sender's clock was set."""
-        return self.senders.clock_jumps
-
-    @property
-    def clock_rate(self) -> float | None:
-        """Seconds of a sender's clock in each of ours, where that is not about one."""
-        return self.senders.clock_rate
-
-    def packets_by_sender(self) -> dict[str, int]:
-        """Sender -> packets that came in from there, of the present ones."""
-        return self.senders.packets()
 
     def start(self) -> None:
         """Listen from now on; what came before is old."""
@@ -151,7 +133,7 @@ class MarkerSocket(MarkerSource):
         waiting: dict[PacketSender, list[Datagram]] = {}
         for datagram in datagrams:
             if self.senders.is_allowed(datagram.host):
-                sender = self.senders.sender_at(datagram.host, datagram.port, now)
+                sender = self.senders.sender_at(Address(datagram.host, datagram.port), now)
                 waiting.setdefault(sender, []).append(datagram)
             else:
                 self.ignored["stranger"] += 1

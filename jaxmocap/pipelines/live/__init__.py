@@ -2,5 +2,5 @@
 
 Begin with ``session``, the command from its file to its end, then ``loop``, which connects devices,
 tracker and receivers. ``tracking`` steps the tracker, ``recording`` and ``files`` write to disk,
-``status`` and ``stream_states`` report what happens, ``stop`` ends the run.
+``status`` reports what happens.
 """

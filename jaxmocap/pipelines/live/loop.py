@@ -36,8 +36,7 @@ from jaxmocap.outputs.senders.unity import UnityBody
 from jaxmocap.pipelines.live.frame_pace import FramePace
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.setup import LiveSetup
-from jaxmocap.pipelines.live.status import LiveStatus
-from jaxmocap.pipelines.live.stream_states import SILENT_S, stream_states, tenfold
+from jaxmocap.pipelines.live.status import SILENT_S, LiveStatus, stream_states, tenfold
 from jaxmocap.pipelines.live.tracking import LiveTracking, Output
 
 # Fewer samples beyond reach are worth no line.
@@ -296,9 +295,9 @@ class Live:
         self.status.end_line()
         return self.status.figures(self._ended) | {
             "packets": self._source.packets,
-            "senders": self._source.packets_by_sender(),
+            "senders": self._source.senders.packets(),
             "ignored": {why: count for why, count in self._source.ignored.items() if count},
-            "clock_jumps": self._source.clock_jumps,
+            "clock_jumps": self._source.senders.clock_jumps,
             "dropped": self._dropped() | {"not recorded": recording.dropped if recording else 0},
             "frames": {camera.name: camera.frames for camera in self._cameras},
             "placed_again": self.tracking.placements,
