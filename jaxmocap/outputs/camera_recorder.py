@@ -99,10 +99,10 @@ def log_ellipses(
         return
     width = rr.Radius.ui_points(ELLIPSE_WIDTH)
     stream.log(entity, rr.LineStrips2D.from_fields(radii=width), static=True)
-    shown = [ellipse for each in loops for ellipse in each]
+    colours = {f"elbow_{side}": COLOURS[side] for side in "lr"}
     columns = rr.LineStrips2D.columns(
-        strips=[ellipse.points.astype(np.float32) for ellipse in shown],
-        colors=[COLOURS[ellipse.elbow] if ellipse.elbow else ELLIPSE_COLOUR for ellipse in shown],
+        strips=[loop.astype(np.float32) for each in loops for loop in each.values()],
+        colors=[colours.get(landmark, ELLIPSE_COLOUR) for each in loops for landmark in each],
     ).partition([len(each) for each in loops])
     stream.send_columns(entity, [at_times(times)], columns)
 

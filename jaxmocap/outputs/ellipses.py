@@ -6,7 +6,6 @@ A landmark's covariance is projected by the derivative of its pixel (first order
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jax import Array
@@ -48,24 +47,6 @@ class Uncertainty:
         return both_at(self.times, time, self.centres, self.deviations)
 
 
-class Ellipse(NamedTuple):
-    """One landmark's.
-
-    Attributes:
-        landmark: its name.
-        points: (POINTS, 2) of a closed line, pixels.
-    """
-
-    landmark: str
-    points: np.ndarray
-
-    @property
-    def elbow(self) -> str:
-        """``l`` or ``r`` of an elbow's; "" of another landmark's."""
-        name, _, side = self.landmark.partition("_")
-        return side if name == "elbow" else ""
-
-
 def uncertainty_of(motion: Motion) -> Uncertainty | None:
     """The landmarks of a motion; None where it has no report."""
     if motion.report is None:
@@ -76,15 +57,19 @@ def uncertainty_of(motion: Motion) -> Uncertainty | None:
     )
 
 
-def ellipses_in(camera: Camera, uncertainty: Uncertainty, time: float) -> list[Ellipse]:
-    """The elbows' ellipses, and the large ones of other landmarks; none where nothing is known."""
+def ellipses_in(camera: Camera, uncertainty: Uncertainty, time: float) -> dict[str, np.ndarray]:
+    """The elbows' ellipses, and the large ones of other landmarks; none where nothing is known.
+
+    Returns:
+        Landmark -> (POINTS, 2) of a closed line, pixels.
+    """
     if (values := uncertainty.at(time)) is None:
-        return []
+        return {}
     loops, half_axes = landmark_ellipses(camera, *values)
     smallest = SMALLEST_SHARE * float(np.min(np.asarray(camera.size)))
     is_shown = np.isfinite(half_axes) & (half_axes > smallest)
     is_shown[list(ELBOWS)] = np.isfinite(half_axes[list(ELBOWS)])
-    return [Ellipse(LANDMARKS[i], loops[i]) for i in np.flatnonzero(is_shown)]
+    return {LANDMARKS[i]: loops[i] for i in np.flatnonzero(is_shown)}
 
 
 def landmark_ellipses(

@@ -27,6 +27,7 @@ BONE_COLOUR = (230, 230, 230)
 JOINT_COLOUR = (255, 255, 255)
 # Of the left and the right arm.
 OUTLINE_COLOURS = {"l": (255, 200, 60), "r": (60, 160, 255)}
+ELBOW_COLOURS = {f"elbow_{side}": colour for side, colour in OUTLINE_COLOURS.items()}
 TARGET_COLOUR = (255, 60, 255)
 # Of the ellipses of other landmarks than elbows, and their opacity within.
 ELLIPSE_COLOUR, ELLIPSE_OPACITY = (200, 190, 190), 0.18
@@ -135,10 +136,10 @@ class OverlayArtist:
         ends = self.scene.at(time)
         if ends is not None:
             if self.uncertainty is not None:
-                for ellipse in ellipses_in(self.camera, self.uncertainty, time):
-                    colour = OUTLINE_COLOURS.get(ellipse.elbow, ELLIPSE_COLOUR)
-                    _tint(canvas, ellipse.points, colour)
-                    _draw_line(canvas, ellipse.points, colour, size)
+                for landmark, loop in ellipses_in(self.camera, self.uncertainty, time).items():
+                    colour = ELBOW_COLOURS.get(landmark, ELLIPSE_COLOUR)
+                    _tint(canvas, loop, colour)
+                    _draw_line(canvas, loop, colour, size)
             near, far = ends
             tree, arms = self.scene.tree, self.scene.tree.bones_in("arm")
             loops = limb_outlines(self.camera, near[arms], far[arms], self.scene.radii[arms])

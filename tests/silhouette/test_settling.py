@@ -6,7 +6,7 @@ from test_rim import BODY
 
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.silhouette.fit.correspond import Contour
-from jaxmocap.silhouette.fit.settling import contours_apart, has_settled
+from jaxmocap.silhouette.fit.cycles import contours_apart, has_settled
 from jaxmocap.silhouette.settings import FAR_OFF, Cycle, Settings, progressive
 from jaxmocap.silhouette.surfaces.body_shape import FULL
 

@@ -17,7 +17,7 @@ from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
 from jaxmocap.silhouette.device_functions import fit
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
-from jaxmocap.silhouette.fit import cycles, settling
+from jaxmocap.silhouette.fit import cycles
 from jaxmocap.silhouette.segmentation.background_models import BackgroundLearner, OnlineBackground
 from jaxmocap.silhouette.segmentation.segment import SegmentationPlan, Stage
 from jaxmocap.silhouette.settings import FAR_OFF, Settings, progressive
@@ -128,7 +128,7 @@ def test_segmentation_and_pose_alternate_until_both_settle_whatever_levels_come_
     find = cycles.find_outlines
     monkeypatch.setattr(cycles, "find_outlines", lambda *a: segmented.append(1) or find(*a))
     coarse_to_fine = progressive(SMALL.cycles, 2, len(SMALL.rim.levels))
-    monkeypatch.setattr(settling, "POSE_M", 0.005)
+    monkeypatch.setattr(cycles, "POSE_M", 0.005)
     for rounds, most in ((0, 1), (1, 2), (9, 9)):
         with_settings(tracker, replace(SMALL, cycles=coarse_to_fine, settling_rounds=rounds))
         segmented.clear()

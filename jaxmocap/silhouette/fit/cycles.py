@@ -1,5 +1,9 @@
 """From a predicted pose to a fitted one: rim, contour, pairs, solve, cycle by cycle.
 
+A new pose is another start of the segmentation, and new contours are another aim of the pose. The
+paper iterates both until they converge (section 5); where that is asked for, they go on in turn
+until neither changes the other any more.
+
 INPUTS: a frame's images and background models, a predicted pose. OUTPUTS: a FittedPose; what
 is left of its information without the pairs of some joints. Which cameras count, by how rim and
 contour match and how they agree with the others.
@@ -10,17 +14,19 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial import KDTree
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.keypoints import KeyPoints
 from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.device_functions import ContourPairs, fit, free_pose
-from jaxmocap.silhouette.fit.correspond import ALONG_WEIGHT, Matches, matched_pairs
-from jaxmocap.silhouette.fit.settling import has_settled
+from jaxmocap.silhouette.first_pose import landmark_points
+from jaxmocap.silhouette.fit.correspond import ALONG_WEIGHT, Contour, Matches, matched_pairs
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, TermEvidence
 from jaxmocap.silhouette.segmentation.inner_edges import (
     EDGE_WEIGHT,
@@ -33,6 +39,13 @@ from jaxmocap.silhouette.settings import Cycle, Settings
 from jaxmocap.silhouette.state import TrackedBody, TrackerConstants
 from jaxmocap.silhouette.surfaces.rim import Rim
 from jaxmocap.silhouette.surfaces.shape import NodePairs
+
+# A pose has settled where its landmarks move no farther in a round, on average, metres. What
+# outlines hardly determine, as a hand's turn, moves on by more.
+POSE_M = 0.001
+# Contours have settled where their points lie no farther across those of the round before, on
+# average, pixels.
+CONTOUR_PX = 0.1
 
 
 def matched_shares(rim: Rim, pairs: Matches, points: Sequence[int]) -> np.ndarray:
@@ -216,6 +229,35 @@ def _paired(
     pixels, normals = matches.pixels_xy, matches.normals
     pairs = ContourPairs(points, pixels, normals, weights, moves, ALONG_WEIGHT)
     return NodePairs(matches.nodes, pairs), shares, used
+
+
+def has_settled(
+    skeleton: Skeleton,
+    poses: tuple[Pose, Pose],
+    contours: tuple[Sequence[Contour], Sequence[Contour]],
+) -> bool:
+    """Whether poses and cameras' contours of a round are those of the round before."""
+    here, there = (np.asarray(landmark_points(skeleton, pose)) for pose in poses)
+    if np.linalg.norm(there - here, axis=1).mean() > POSE_M:
+        return False
+    return contours_apart(*contours) <= CONTOUR_PX
+
+
+def contours_apart(before: Sequence[Contour], now: Sequence[Contour]) -> float:
+    """Mean distance across the old contours of the new ones' points, pixels, of C cameras.
+
+    Infinite where a camera shows the person in only one of the two; 0 where none does.
+    """
+    apart = []
+    for old, new in zip(before, now, strict=True):
+        if not len(old.pixels_xy) or not len(new.pixels_xy):
+            if len(old.pixels_xy) or len(new.pixels_xy):
+                return np.inf
+            continue
+        nearest = KDTree(old.pixels_xy).query(new.pixels_xy)[1]
+        away = new.pixels_xy - old.pixels_xy[nearest]
+        apart.append(np.abs(np.sum(away * old.normals[nearest], 1)))
+    return float(np.mean(np.concatenate(apart))) if apart else 0.0
 
 
 def information_without(
