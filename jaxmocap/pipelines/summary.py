@@ -22,14 +22,15 @@ EXPLAINED = ("elbow_l", "elbow_r", "pelvis")
 MOST_REASONS = 4
 
 
-def frames_per_second(report: Report) -> float:
+def frames_per_second(report: Report | None) -> float:
     """Video frames, or samples where there is none, by all the seconds that tracking took.
 
     Compilation is included. NaN where nothing was timed.
     """
-    seconds = report.settings.get("seconds", {})
+    if report is None or not (seconds := report.settings.get("seconds", {})):
+        return float("nan")
     count = report.settings.get("video_frames") or len(report.statuses)
-    return count / sum(seconds.values()) if seconds else float("nan")
+    return count / sum(seconds.values())
 
 
 def summary(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] = ()) -> str:

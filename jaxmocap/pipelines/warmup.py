@@ -8,6 +8,7 @@ OUTPUTS: JAX's compilation cache; how many programs were compiled, and how long 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -91,12 +92,9 @@ def warm_up_live(setup: LiveSetup, settings: Settings | None = None) -> list[Com
         settings: of the tracker.
     """
     keep_compiled()
-
-    def compile_all(smooth: bool) -> None:
-        LiveTracking(setup, settings or Settings(), smooth).wait_until_ready()
-
+    start = partial(LiveTracking, setup, settings or Settings())
     return [
-        _timed(name, lambda smooth=smooth: compile_all(smooth))
+        _timed(name, lambda smooth=smooth: start(smooth).wait_until_ready())
         for smooth, name in LIVE_NAMES.items()
     ]
 

@@ -47,20 +47,6 @@ class FrameBundle(NamedTuple):
     expected: Pose | None = None
 
 
-class PassSettings(NamedTuple):
-    """How often a recording is gone through, and what is learned.
-
-    Attributes:
-        passes: how many.
-        shape_deviation: how far the surface may be off, by how far a generic one is.
-        lengths: whether the bones' lengths are corrected as well.
-    """
-
-    passes: int = 3
-    shape_deviation: float = 1.0
-    lengths: bool = False
-
-
 @dataclass
 class PassResult:
     """What a pass found in F frames.
@@ -164,8 +150,10 @@ def run_passes(
     start: Pose,
     frames: Callable[[], Iterable[FrameBundle]],
     count: int,
-    settings: PassSettings,
     backgrounds: Sequence[Background | None],
+    passes: int = 3,
+    shape_deviation: float = 1.0,
+    lengths: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> PassResult:
     """What the last pass found; or the first in which no camera shows anybody.
@@ -175,23 +163,23 @@ def run_passes(
         start: pose in the first frame.
         frames: goes through the recording again whenever it is called.
         count: of frames.
-        settings: how many passes, and what they learn.
         backgrounds: of each camera, where a picture shows it; None where passes are to learn it.
+        passes: how many.
+        shape_deviation: how far the surface may be off, by how far a generic one is.
+        lengths: whether the bones' lengths are corrected as well.
         progress: called with the frames done and their total.
     """
     constants, body, models = tracker.constants, tracker.body, list(backgrounds)
-    shape = ShapeEstimator(
-        body.shape.surface, body.shape.skeleton, settings.shape_deviation, settings.lengths
-    )
+    shape = ShapeEstimator(body.shape.surface, body.shape.skeleton, shape_deviation, lengths)
     result = None
-    for number in range(settings.passes):
-        is_last = number + 1 == settings.passes
+    for number in range(passes):
+        is_last = number + 1 == passes
         learner = None if is_last else PassLearner(constants, count, shape)
         earlier = None if result is None else result.estimates
         done = number * count
         result = run_pass(
             tracker, tracker.init(start, body, models), frames(), learner, earlier,
-            lambda frame, done=done: progress(done + frame, settings.passes * count),
+            lambda frame, done=done: progress(done + frame, passes * count),
         )  # fmt: skip
         if not result.is_anybody_visible:
             break

@@ -38,7 +38,7 @@ from jaxmocap.outputs import viewer
 from jaxmocap.outputs.report import MISFIT_M
 from jaxmocap.pipelines import writing
 from jaxmocap.pipelines.summary import figures, frames_per_second, misfit, summary
-from jaxmocap.pipelines.tracking import warnings
+from jaxmocap.pipelines.tracking.events import elbow_warnings, without_video
 from jaxmocap.pipelines.tracking.motions import low_passed
 from jaxmocap.pipelines.tracking.track import make_tracker, track, track_both
 from jaxmocap.pipelines.viewer_frames import arm_edges, viewer_frames
@@ -339,11 +339,11 @@ def test_a_jump_of_the_body_has_a_warning():
 
 def test_sentences_about_samples_and_video_times():
     times, video = np.arange(10) / 10, np.array([0.2, 0.3, 0.4])
-    assert np.flatnonzero(~warnings.without_video(times, video)).tolist() == [1, 2, 3, 4, 5]
-    causal = warnings.without_video(times, video, causal=True)
+    assert np.flatnonzero(~without_video(times, video)).tolist() == [1, 2, 3, 4, 5]
+    causal = without_video(times, video, causal=True)
     assert np.flatnonzero(~causal).tolist() == [2, 3, 4, 5]
     unsure = ["right elbow: not determined within 15 cm"]
-    assert list(warnings.of_elbows(np.array([0.02, 0.2]))) == unsure
+    assert list(elbow_warnings(np.array([0.02, 0.2]))) == unsure
 
 
 # Choices -----------------------------------------------------------------------------------------

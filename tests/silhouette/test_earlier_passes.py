@@ -12,7 +12,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.silhouette import passes
 from jaxmocap.silhouette.first_pose import landmark_points
-from jaxmocap.silhouette.passes import FrameBundle, PassSettings, run_passes
+from jaxmocap.silhouette.passes import FrameBundle, run_passes
 from jaxmocap.silhouette.segmentation.outlines import Outlines
 from jaxmocap.silhouette.state import PoseEstimate
 from jaxmocap.silhouette.tracker import SilhouetteTracker
@@ -114,8 +114,8 @@ def test_each_pass_steps_each_frame_with_what_the_one_before_it_found(monkeypatc
     frames, done = [FrameBundle(t, [None], {}) for t in (0.0, 0.5)], []
     monkeypatch.setattr(passes.PassLearner, "add_frame", lambda *_: None)
     result = run_passes(
-        track_by(step), HANGING, lambda: iter(frames), 2, PassSettings(3), [None],
-        lambda *counts: done.append(counts),
+        track_by(step), HANGING, lambda: iter(frames), 2, [None],
+        progress=lambda *counts: done.append(counts),
     )  # type: ignore[arg-type]  # fmt: skip
     assert steps[:2] == [None, None] and len(steps) == 6
     assert [float(each.pose[0]) for each in steps[2:]] == [1, 2, 3, 4]

@@ -78,12 +78,6 @@ class SilhouetteDemo:
     before: tuple[Errors, dict[str, float]] | None
     files: list[Path]
 
-    @property
-    def frames_per_second(self) -> float:
-        """Of all passes together, compilation included; NaN if nothing was timed."""
-        report = self.motion.report
-        return float("nan") if report is None else frames_per_second(report)
-
     def text(self) -> str:
         """Errors, and the rate."""
         errors, bent = (None, {}) if self.before is None else self.before
@@ -92,9 +86,9 @@ class SilhouetteDemo:
             f"{name} {f'{bent[name]:.1f} -> ' if bent else ''}{off:.1f}"
             for name, off in self.bend_errors_deg.items()
         )
-        rate = f"{self.frames_per_second:.1f} frames of all cameras a second, compilation included"
+        rate = f"{frames_per_second(self.motion.report):.1f} frames of all cameras a second"
         with_model = "without -> with the person's own model\n\n" if bent else ""
-        return f"{with_model}{table}\n\nbend errors, degrees: {bends}\n{rate}"
+        return f"{with_model}{table}\n\nbend errors, degrees: {bends}\n{rate}, compilation included"
 
     def as_dict(self) -> dict:
         """What JSON takes."""
@@ -103,7 +97,7 @@ class SilhouetteDemo:
             "bend_errors_deg": self.bend_errors_deg,
             "without_model": self.before
             and {"errors": self.before[0].as_dict(), "bend_errors_deg": self.before[1]},
-            "frames_per_second": self.frames_per_second,
+            "frames_per_second": frames_per_second(self.motion.report),
             "files": [str(path) for path in self.files],
         }
 

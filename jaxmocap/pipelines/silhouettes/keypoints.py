@@ -46,10 +46,6 @@ class KeypointGuide(NamedTuple):
         """The person's."""
         return self.poses.skeleton
 
-    def lines_at(self, instant: int) -> SightLines:
-        """Those of one instant."""
-        return jax.tree.map(lambda part: part[instant], self.lines)
-
     def pose_at(self, instant: int) -> Pose:
         """That of one instant."""
         return jax.tree.map(lambda part: part[instant], self.poses.poses)

@@ -10,12 +10,13 @@ from dataclasses import replace
 from time import perf_counter
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from jaxmocap.body.model import marker_sites
 from jaxmocap.body.motion import Motion, Report, landmarks_over_time
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, with_joints
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, with_joints
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.capture.footage import forward_readers
@@ -34,8 +35,8 @@ from jaxmocap.pipelines.silhouettes.keypoints import (
     keypoint_guide,
     lost_status,
 )
-from jaxmocap.pipelines.tracking.warnings import of_elbows
-from jaxmocap.silhouette.passes import FrameBundle, PassResult, PassSettings, run_passes
+from jaxmocap.pipelines.tracking.events import elbow_warnings
+from jaxmocap.silhouette.passes import FrameBundle, PassResult, run_passes
 from jaxmocap.silhouette.segmentation.background_models import background_of_picture
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.state import StepReport
@@ -109,7 +110,7 @@ class _Footage(NamedTuple):
             measured["markers"] = self.positions_world[instant].astype(np.float32)
         if self.guide is None:
             return measured, None
-        measured["sight_lines"] = self.guide.lines_at(instant)
+        measured["sight_lines"] = jax.tree.map(lambda part: part[instant], self.guide.lines)
         return measured, self.guide.pose_at(instant) if self.guide.is_detected[instant] else None
 
 
@@ -179,8 +180,11 @@ def track_silhouettes(
     recording, footage, guide, warnings = _open(recording, settings, markers, start, surface)
     tracker = make_silhouette_tracker(recording, settings, markers, surface)
     if start is None:
-        start = _first_pose(recording, guide)
-    how = PassSettings(passes, 1.0 if surface is None else PHOTOGRAPHED_SHARE, lengths)
+        if guide is None:
+            expected = "expected --at X,Y,FACING of a person who stands upright, or key points"
+            raise recording.error(f"nobody is detected in any frame, {expected}")
+        start = guide.pose_at(int(np.argmax(guide.is_detected)))
+    share = 1.0 if surface is None else PHOTOGRAPHED_SHARE
     # By the recording's pictures of empty rooms.
     backgrounds: list[Background | None] = [
         background_of_picture(read_empty_room(source.background, video.size))
@@ -191,8 +195,8 @@ def track_silhouettes(
     began, label = perf_counter(), f"tracking, {passes} pass{'es' * (passes > 1)}"
     with progress_bar(label, progress, "compiling") as show:
         result = run_passes(
-            tracker, start, footage.bundles, len(footage.times), how,
-            backgrounds, show,
+            tracker, start, footage.bundles, len(footage.times), backgrounds, passes, share,
+            lengths, show,
         )  # fmt: skip
     if not result.is_anybody_visible:
         expected = "expected somebody where the markers' first samples, or --at, put the person"
@@ -214,9 +218,10 @@ def track_silhouettes(
     shape, (poses, deviations) = result.body.shape, result.smoothed(constants)
     spent = {"passes": tracked - began, "smoothing": perf_counter() - tracked}
     described |= {"video_frames": len(footage.times), "seconds": spent}
-    report = _report(
-        result, deviations, names, plain(described), _distances(guide, shape.skeleton, poses)
-    )
+    off = None
+    if guide is not None:
+        off = keypoint_distances(landmarks_over_time(shape.skeleton, poses), guide.lines)
+    report = _report(result, deviations, names, plain(described), off)
     motion = Motion(shape.skeleton, footage.times, poses, report, recording.origin_world)
     regions = [report.outlines.region for report in result.reports]
     origins, scales = (np.stack([region[k] for region in regions]) for k in (0, 1))
@@ -225,14 +230,6 @@ def track_silhouettes(
         name: Masks(times, phi[:, c], origins[:, c], scales[:, c]) for c, name in enumerate(names)
     }
     return SilhouetteResult(motion, masks, shape.surface)
-
-
-def _first_pose(recording: Recording, guide: KeypointGuide | None) -> Pose:
-    """Where the key points have the person at first."""
-    if guide is None:
-        expected = "expected --at X,Y,FACING of a person who stands upright, or key points"
-        raise recording.error(f"nobody is detected in any frame, {expected}")
-    return guide.pose_at(int(np.argmax(guide.is_detected)))
 
 
 def _open(
@@ -268,13 +265,6 @@ def _open(
     return recording, _Footage(videos, times, indices, positions, guide), guide, tuple(warnings)
 
 
-def _distances(guide: KeypointGuide | None, skeleton: Skeleton, poses: Pose) -> np.ndarray | None:
-    """(F,) how far the key points lie off, metres; None without any."""
-    if guide is None:
-        return None
-    return keypoint_distances(landmarks_over_time(skeleton, poses), guide.lines)
-
-
 def _report(
     result: PassResult,
     deviations: np.ndarray,
@@ -295,7 +285,7 @@ def _report(
     # Nobody knows how far off a person is who is lost.
     lost = [any(status.startswith(LOST) for status in each) for each in statuses]
     deviations = np.where(np.array(lost)[:, None, None], np.nan, deviations)
-    unsure = map(of_elbows, np.linalg.norm(deviations[:, ELBOWS], axis=-1))
+    unsure = map(elbow_warnings, np.linalg.norm(deviations[:, ELBOWS], axis=-1))
     statuses = tuple((*own, *more) for own, more in zip(statuses, unsure, strict=True))
     milliseconds = {"frame": np.array(result.milliseconds)}
     return Report(

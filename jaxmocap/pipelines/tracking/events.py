@@ -1,6 +1,9 @@
 """The events of a recording: what a tracker goes through, and what they lack.
 
-INPUTS: a Recording, its videos. OUTPUTS: RecordingEvents; warnings for the report.
+Warnings are sentences that a user reads in the report. They hold no figures, so that the report can
+count them.
+
+INPUTS: a Recording, its videos; a StepReport, images. OUTPUTS: RecordingEvents; warnings.
 """
 
 from collections.abc import Iterator, Sequence
@@ -8,12 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxmocap.body.motion import UNDETERMINED_M
 from jaxmocap.capture.filters import Cleaning
-from jaxmocap.capture.markers import interpolate_markers
+from jaxmocap.capture.markers import interpolate_markers, median_interval
 from jaxmocap.capture.timeline import Mode, Timeline, build_timeline
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.pipelines.tracking import warnings
+from jaxmocap.hybrid.refine import StepReport
+from jaxmocap.solvers.status import SENTENCES, Status
+
+SIDES = ("left", "right")
+# An image whose brightness varies by less (of 255) shows nothing.
+BLANK_RANGE = 12
+# A frame further away than this many of its video's intervals is not near.
+NEAR_INTERVALS = 1.5
 
 
 @dataclass(frozen=True)
@@ -58,19 +69,22 @@ class RecordingEvents:
         else:
             positions = recording.positions_world
             markers = interpolate_markers(times, positions, line.event_times, causal)
-        without_video = [warnings.without_video(times, video.times, causal) for video in videos]
-        return cls(recording, line, markers, first, without_video, cleaning)
+        lacking = [without_video(times, video.times, causal) for video in videos]
+        return cls(recording, line, markers, first, lacking, cleaning)
 
     @property
     def times(self) -> np.ndarray:
         """(E,) seconds since the first event."""
         return self.timeline.event_times - self.timeline.event_times[0]
 
-    def image_warnings(self, event: int, images: Sequence[np.ndarray | None]) -> list[str]:
-        """Warnings about the images that an event has, one per camera."""
-        names = [source.camera_name for source in self.recording.videos][: len(images)]
-        due = (self.timeline.frame_index[event] >= 0).tolist()
-        return list(warnings.of_images(names, due, images))
+    def image_warnings(self, event: int, images: Sequence[np.ndarray | None]) -> Iterator[str]:
+        """Which of an event's images, one per camera, cannot be read or show nothing."""
+        frames = self.timeline.frame_index[event]
+        for source, frame, image in zip(self.recording.videos, frames, images, strict=False):
+            if frame >= 0 and image is None:
+                yield f"{source.camera_name}: the video frame cannot be read"
+            elif image is not None and np.ptp(image[::8, ::8]) < BLANK_RANGE:
+                yield f"{source.camera_name}: the video frame is black or blank"
 
     def sample_warnings(self, of_events: Sequence[Sequence[str]]) -> Iterator[tuple[str, ...]]:
         """Warnings about every sample; what happened since the one before belongs to it."""
@@ -83,8 +97,37 @@ class RecordingEvents:
 
     def _about_sample(self, sample: int) -> Iterator[str]:
         positions = self.recording.positions_world[sample]
-        yield from warnings.of_markers(self.recording.marker_names, positions)
+        for name, position in zip(self.recording.marker_names, positions, strict=True):
+            if not np.isfinite(position).all():
+                yield f"marker {name} is missing"
         yield from self.cleaning.statuses(sample) if self.cleaning else ()
         for source, missing in zip(self.recording.videos, self.without_video, strict=False):
             if missing[sample]:
                 yield f"{source.camera_name}: no video frame near this sample"
+
+
+def step_warnings(report: StepReport) -> Iterator[str]:
+    """What the tracker did to the body."""
+    if report.placed:
+        yield "the body was placed again"
+    if report.planted:
+        yield "the feet were planted again"
+    if sentence := SENTENCES[Status(int(report.status))]:
+        yield f"the refinement {sentence}"
+
+
+def elbow_warnings(deviations: np.ndarray) -> Iterator[str]:
+    """Which of the two elbows nothing determines, by their deviations (2,), metres."""
+    for side, value in zip(SIDES, deviations, strict=True):
+        if value > UNDETERMINED_M:
+            yield f"{side} elbow: not determined within {100 * UNDETERMINED_M:.0f} cm"
+
+
+def without_video(times: np.ndarray, video_times: np.ndarray, causal: bool = False) -> np.ndarray:
+    """(T,) whether no frame lies near each of the samples at (T,) seconds."""
+    after = np.searchsorted(video_times, times, side="right")
+    padded = np.concatenate([[-np.inf], video_times, [np.inf]])
+    away = times - padded[after]
+    if not causal:
+        away = np.minimum(away, padded[after + 1] - times)
+    return away > NEAR_INTERVALS * median_interval(video_times)

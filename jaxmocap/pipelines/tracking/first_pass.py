@@ -19,8 +19,7 @@ from jaxmocap.geometry.rows import GatheredRows
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.progress import Progress
-from jaxmocap.pipelines.tracking import warnings
-from jaxmocap.pipelines.tracking.events import RecordingEvents
+from jaxmocap.pipelines.tracking.events import RecordingEvents, step_warnings
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
 from jaxmocap.smoothing.problem import FirstPass
 
@@ -45,14 +44,15 @@ def scanned(
             began = clock.keep("first_call", began)
         gathered.put(len(about), (chunk.poses, chunk.reports))
         rows = range(len(chunk.events))
-        about += [tuple(warnings.of_step(_row(chunk.reports, row))) for row in rows]
+        steps = [jax.tree.map(lambda part, row=row: part[row], chunk.reports) for row in rows]
+        about += [tuple(step_warnings(step)) for step in steps]
         # All stages together, as far as they did not run beside one another.
         stage, among = ("frame", chunk.frames) if chunk.frames else ("sample", len(rows))
         began = clock.keep(stage, began, among)
         show(len(about), len(times))
     poses, reports = gathered.tree
     if about_images:
-        about = [step + images for step, images in zip(about, about_images, strict=True)]
+        about = [own + images for own, images in zip(about, about_images, strict=True)]
     return _first_pass(events, poses, reports, about)
 
 
@@ -87,7 +87,7 @@ def stepped(
             final += own.timed("smooth", smoother.step, time, there, images, report)
         _keep_stages(clock, own, 1e3 * (perf_counter() - began), not event, images)
         steps.append((pose, report))
-        about.append((*warnings.of_step(report), *events.image_warnings(event, images)))
+        about.append((*step_warnings(report), *events.image_warnings(event, images)))
         show(event + 1, len(events.times))
     final += smoother.flush() if smoother else []
     poses, reports = jax.tree.map(lambda *parts: np.stack(parts), *steps)
@@ -101,10 +101,6 @@ def _first_pass(
     return FirstPass(
         line.event_times, events.markers_world, line.frame_index, poses, reports, about
     )
-
-
-def _row(reports, row: int):
-    return jax.tree.map(lambda part: part[row], reports)
 
 
 def _images_at(frames: np.ndarray, readers: Sequence[ForwardReader]) -> list[np.ndarray | None]:

@@ -22,8 +22,7 @@ from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.capture.filters import butterworth_low_pass
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
-from jaxmocap.pipelines.tracking import warnings
-from jaxmocap.pipelines.tracking.events import RecordingEvents
+from jaxmocap.pipelines.tracking.events import RecordingEvents, elbow_warnings
 from jaxmocap.smoothing.fixed_lag import SmoothedPose
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
 
@@ -151,7 +150,7 @@ def _warnings(
     """Of each sample, by its elbows' deviations (T, 2), metres, too."""
     before = (("no marker has been measured yet",),) * events.before
     listed = events.sample_warnings(first_pass.warnings)
-    unsure = map(warnings.of_elbows, elbow_deviations[len(before) :])
+    unsure = map(elbow_warnings, elbow_deviations[len(before) :])
     joined = ((*own, *more) for own, more in zip(listed, unsure, strict=True))
     # One of those that are equal: a marker that is missing is missing for long.
     once: dict[tuple[str, ...], tuple[str, ...]] = {}
