@@ -9,7 +9,7 @@ up: of a chessboard, with that end at the bottom (or, where the first number is 
 whose two outermost squares are black; of a ChArUco board, with its markers upright.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -65,10 +65,6 @@ class Board:
         if self.dictionary is not None or (self.columns + self.rows) % 2:
             return 1
         return 4 if self.columns == self.rows else 2
-
-    def resized(self, columns: int, rows: int) -> "Board":
-        """A board of the same kind with other counts."""
-        return replace(self, columns=columns, rows=rows)
 
 
 def parse_board(

@@ -5,7 +5,7 @@ pictures show no board or nothing new.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -126,7 +126,7 @@ def hint_of_other_counts(pictures: Sequence[Picture], board: Board) -> str:
     for (columns, rows), why in tried.items():
         if min(columns, rows) < 3:
             continue
-        other = board.resized(columns, rows)
+        other = replace(board, columns=columns, rows=rows)
         for picture in pictures:
             grey = cv2.cvtColor(picture.image(), cv2.COLOR_BGR2GRAY)
             if find_coarsely(grey, other) is not None:

@@ -11,7 +11,7 @@ joints and girths were measured, on whom nothing is tested.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 
 # Nodes of the trunk's rings.
 RING_NODES = 48
@@ -55,9 +55,9 @@ def slice_ring(
     From the middle of the front to the left; corners are front left, back left, back right, front
     right. ``fullness`` is that of people's slices there.
     """
-    return superellipse_ring(corners, fullness, nodes) if reading.as_full_as_people else (
-        spline_ring(corners, nodes)
-    )  # fmt: skip
+    if reading.as_full_as_people:
+        return superellipse_ring(corners, fullness, nodes)
+    return spline_ring(corners, nodes)
 
 
 def spline_ring(corners: np.ndarray, nodes: int = RING_NODES) -> np.ndarray:
@@ -66,13 +66,8 @@ def spline_ring(corners: np.ndarray, nodes: int = RING_NODES) -> np.ndarray:
     It touches the quadrilateral in its sides' middles, and is as full as a superellipse of power
     2.4.
     """
-    place = 4 * np.arange(nodes) / nodes
-    k = np.floor(place).astype(int)
-    t = (place - k)[:, None]
-    before, here, after = (corners[(k + step) % 4] for step in (-1, 0, 1))
-    first = (1 - t) / 2 * before + (1 + t) / 2 * here
-    second = (2 - t) / 2 * here + t / 2 * after
-    return (1 - t) * first + t * second
+    spline = BSpline(np.arange(-2.0, 7), corners[[3, 0, 1, 2, 3, 0]], 2)
+    return spline(4 * np.arange(nodes) / nodes)
 
 
 def superellipse_ring(corners: np.ndarray, fullness: float, nodes: int = RING_NODES) -> np.ndarray:
