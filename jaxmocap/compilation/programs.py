@@ -20,9 +20,9 @@ from threading import Lock
 from typing import Any, Literal, NamedTuple, Protocol
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array, export
-from jax.core import eval_context
 
 from jaxmocap.compilation.arguments import is_traced
 from jaxmocap.compilation.structures import from_json, is_of_this_code, to_json
@@ -129,9 +129,13 @@ class Program:
         arguments = (*self._first, *arguments)
         if is_traced(arguments):
             return self.jitted(*arguments)
-        # Of constants alone it is found now, whatever is traced around it.
-        with eval_context():
+        try:
             return self._chosen()(*arguments)
+        except ValueError:
+            # Compiler's options are refused within another's trace, where even zeros are traced.
+            if not is_traced(jnp.zeros(())):
+                raise
+        return self.jitted(*arguments)
 
     def shapes(self, *like: Any) -> Any:
         """Shapes of the result, from arguments or from what has their shapes."""
