@@ -145,3 +145,41 @@ def test_within_what_is_traced_it_is_the_function(folder: Path, is_kept: bool) -
     assert float(jax.jit(slope)(jnp.zeros(()))) == pytest.approx(-4.0, rel=1e-5)
     constant = jax.jit(lambda x: x + kept(ANGLE, POINT).parts["length"])
     assert float(constant(0.0)) == pytest.approx(5.0, rel=1e-5)
+
+
+def test_shapes_are_given_before_anything_is_compiled(folder: Path) -> None:
+    traced: list[int] = []
+    like = jax.ShapeDtypeStruct((), np.float32), jax.ShapeDtypeStruct((2,), np.float32)
+    program = counted(traced)
+    assert program.shapes(*like).point.shape == (2,)
+    assert not folder.exists()
+    compiled = program.lowered(*like)()
+    np.testing.assert_allclose(compiled(ANGLE, POINT).parts["length"], 5.0, rtol=1e-5)
+    later = counted(traced).shapes(*like)
+    assert later == program.shapes(*like) and later.rest is None
+    assert len(traced) == 1
+
+
+def test_arguments_that_come_first_are_numbers_and_no_part_of_the_program(folder: Path) -> None:
+    traced: list[int] = []
+    program = counted(traced)
+    still, turned = program.after(np.float32(0.0)), program.after(np.float32(np.pi))
+    assert still.lowered(POINT)()(POINT).parts["length"] == pytest.approx(5.0, rel=1e-5)
+    np.testing.assert_allclose(still(POINT).point, POINT, atol=1e-5)
+    np.testing.assert_allclose(turned(POINT).point, -POINT, atol=1e-5)
+    np.testing.assert_allclose(turned.lowered(POINT)()(POINT).point, -POINT, atol=1e-5)
+    assert len(traced) == 1 and len(list(folder.iterdir())) == 1
+
+
+def test_what_cannot_be_kept_runs_all_the_same(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As what calls LAPACK by a name that JAX may change."""
+
+    def refused(*_: object, **__: object) -> None:
+        raise ValueError("custom calls without compatibility guarantees")
+
+    monkeypatch.setattr(programs.export, "export", refused)
+    actual = counted([])(ANGLE, POINT)
+    assert float(actual.parts["length"]) == pytest.approx(5.0, rel=1e-5)
+    assert not any(folder.glob("*"))
