@@ -1,9 +1,9 @@
-"""What a term of evidence is, and how the residuals of several are found and linearised together.
+"""What a term of evidence is, and how the residuals of several are found together.
 
 A term is one file: a settings record with ``residual``. Solvers and smoothers take a tuple of terms
 and know none by name. A new one needs its file, and one line in the settings of whoever uses it.
 
-INPUTS: terms, a Model, a pose, what was measured. OUTPUTS: whitened residuals, their derivatives.
+INPUTS: terms, a Model, a pose, what was measured. OUTPUTS: whitened residuals.
 """
 
 from abc import ABC, abstractmethod
