@@ -19,6 +19,7 @@ from jaxmocap.body.tree import ROOT_DOF, ROOT_LINK
 from jaxmocap.geometry.rotations import (
     HIGHEST,
     about_axis,
+    compose,
     quaternion_multiply,
     quaternion_to_matrix,
     rotate,
@@ -80,7 +81,7 @@ def forward(skeleton: Skeleton, pose: Pose) -> Frames:
     links = skeleton.tree.links
 
     def doubled(T: Array, ancestors: Array) -> tuple[Array, None]:
-        return _joined(T[ancestors], T), None
+        return compose(T[ancestors], T), None
 
     # A loop compiles once, in half the time of its rounds one by one, and runs faster.
     local, doublings = _local_transforms(skeleton, pose), jnp.asarray(links.doublings)
@@ -107,12 +108,6 @@ def _local_transforms(skeleton: Skeleton, pose: Pose) -> Array:
     T = jnp.concatenate([jnp.concatenate(R), jnp.concatenate(p)[:, :, None]], -1)
     last = jnp.broadcast_to(jnp.eye(4, dtype=T.dtype)[3], (len(T), 1, 4))
     return jnp.concatenate([T, last], 1)
-
-
-def _joined(T_a_b: Array, T_b_c: Array) -> Array:
-    """Product (..., 4, 4) of rigid transforms, written out as in ``compose``."""
-    x, y, z, p = (T_a_b[..., k, None] * T_b_c[..., None, k, :] for k in range(4))
-    return x + y + z + p
 
 
 def site_positions(skeleton: Skeleton, frames: Frames, sites: Sites) -> Array:

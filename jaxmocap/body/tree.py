@@ -156,17 +156,17 @@ class Tree:
         bones = (*self.dof_bones, *stiff)
         # Later ones of a bone take the place of earlier ones.
         last = {bone: link for link, bone in enumerate(bones, ROOT_LINK + 1)}
-        parents, before = [], {}
+        parents, begins, before = [], [], {}
         for link, bone in enumerate(bones, ROOT_LINK + 1):
+            begins.append(bone not in before)
             parents.append(before.get(bone, last.get(self.parents[bone], ROOT_LINK)))
             before[bone] = link
-        begins = np.array([bone not in bones[:place] for place, bone in enumerate(bones)])
         rounds, ancestors = [], np.array([0, 0, *parents], np.int32)
         while ancestors.any():
             rounds.append(ancestors)
             ancestors = ancestors[ancestors]
         carriers = np.array([last[bone] for bone in range(len(self.bones))], np.int32)
-        return Links(np.array(bones, np.int32), begins, carriers, np.stack(rounds))
+        return Links(np.array(bones, np.int32), np.array(begins), carriers, np.stack(rounds))
 
 
 def with_dofs(tree: Tree, joints: list[dict], added: bool = False) -> Tree:

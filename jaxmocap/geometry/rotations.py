@@ -19,11 +19,13 @@ HIGHEST = jax.lax.Precision.HIGHEST
 def compose(R_a_b: Numbers, R_b_c: Numbers) -> Numbers:
     """Matrix product ``R_a_c`` of two (..., 3, 3) rotations, at full precision.
 
+    Of (..., 4, 4) rigid transforms as well.
+
     Written out: of matrices this small a call to a product's routine costs more than the product,
     and what is written out melts into what is around it.
     """
-    first, second, third = (R_a_b[..., i, None] * R_b_c[..., None, i, :] for i in range(3))
-    return first + second + third
+    first, *others = (R_a_b[..., i, None] * R_b_c[..., None, i, :] for i in range(R_a_b.shape[-1]))
+    return sum(others, start=first)
 
 
 def rotate(R_a_b: Numbers, vectors_b: Numbers) -> Numbers:

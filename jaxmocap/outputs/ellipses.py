@@ -58,7 +58,7 @@ def uncertainty_of(motion: Motion) -> Uncertainty | None:
 
 
 def ellipses_in(camera: Camera, uncertainty: Uncertainty, time: float) -> dict[str, np.ndarray]:
-    """The elbows' ellipses, and the large ones of other landmarks; none where nothing is known.
+    """The elbows' ellipses, and the large ones of other landmarks; none where no ± is stated.
 
     Returns:
         Landmark -> (POINTS, 2) of a closed line, pixels.
