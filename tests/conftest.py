@@ -99,7 +99,7 @@ def programs_let_go():
 
 # What takes longest comes first, so that workers end together (with --no-loadscope-reorder: xdist
 # would begin with files of many tests, however short they are).
-LONGEST_FILES = ("test_functions.py", "test_terms.py", "test_sensitivity.py")
+LONGEST_FILES = ("test_functions.py", "test_terms.py", "test_smooth_by_silhouettes.py")
 
 
 def pytest_collection_modifyitems(items):

@@ -17,11 +17,11 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Frames, forward, jacobian
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.proportions import scaled
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
-from jaxmocap.body.tree import Tree
+from jaxmocap.body.tree import ROOT_DOF, Tree
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.geometry.cameras import (
     NEAREST_M,
@@ -125,10 +125,14 @@ class Silhouettes:
         return 1 / float(self.deviation) ** 2
 
     def weighted(self, grids: SilhouetteGrids) -> SilhouetteGrids:
-        """Grids (...) on the host weighted as in the settings."""
+        """Grids (...) weighted as in the settings; those on the host stay there."""
 
         def by(weight: Array) -> Callable[[Grid], Grid]:
-            return lambda grid: Grid(grid.probability, float(weight) * grid.weight)
+            def scaled(grid: Grid) -> Grid:
+                is_traced = isinstance(grid.weight, Array)
+                return grid._replace(weight=(weight if is_traced else float(weight)) * grid.weight)
+
+            return scaled
 
         person = grids.each_grid(by(self.person))
         return person._replace(forearms=by(self.forearms)(grids.forearms))
@@ -136,11 +140,11 @@ class Silhouettes:
 
 def project_limbs(
     skeleton: Skeleton, frames: Frames, camera: Camera, grids: SilhouetteGrids
-) -> tuple[Discs, Array]:
-    """The body's limbs (K) in cells, and the visible share (S * S,) of a forearm."""
+) -> tuple[Cones, Discs, Array]:
+    """The body's limbs (K), world, and in cells; the visible share (S * S,) of a forearm."""
     flesh = cones(skeleton, frames, skeleton.tree.drawn)
     discs = discs_in_region(grids.region, project_flesh(skeleton.tree, camera, flesh))
-    return discs, _visible(skeleton.tree, camera, flesh, discs, grids.person)
+    return flesh, discs, _visible(skeleton.tree, camera, flesh, discs, grids.person)
 
 
 def project_flesh(
@@ -222,9 +226,7 @@ def silhouette_fit(
     bones = skeleton.tree.drawn
     person = skeleton if proportions is None else scaled(skeleton, proportions)
     frames = forward(person, pose)
-    flesh = cones(person, frames, bones)
-    discs = discs_in_region(grids.region, project_flesh(person.tree, camera, flesh))
-    visible = _visible(person.tree, camera, flesh, discs, grids.person)
+    flesh, discs, visible = project_limbs(person, frames, camera, grids)
     leverage = _leverage(person, frames, camera, flesh, discs, grids.region, bones)
     if proportions is not None:
 
@@ -243,6 +245,40 @@ def silhouette_fit(
         jnp.einsum("kia,kij,kjb->ab", leverage, fit.hessian, leverage, precision=HIGHEST),
         jnp.einsum("kia,ki->a", leverage, fit.gradient, precision=HIGHEST),
     )
+
+
+def silhouette_hessian(
+    skeleton: Skeleton, pose: Pose, camera: Camera, grids: SilhouetteGrids, softness: Array
+) -> Array:
+    """(N, N) of half the cost of ``silhouette_fit`` by the pose, N = 6 + D; nothing is left out.
+
+    Which limb is frontmost over a cell, and what hides a forearm, is held fixed.
+    """
+
+    def limbs(step: Array) -> tuple[Array, Discs, Array]:
+        frames = forward(skeleton, retract(pose, step))
+        flesh, discs, visible = project_limbs(skeleton, frames, camera, grids)
+        bones, region = skeleton.tree.drawn, grids.region
+        return _leverage(skeleton, frames, camera, flesh, discs, region, bones), discs, visible
+
+    still = jnp.zeros(ROOT_DOF + pose.angles.size, pose.angles.dtype)
+    leverage, discs, visible = limbs(still)
+
+    def uphill(moved: Array) -> Array:
+        near, far, radii = jnp.split(moved, 3, -1)
+        there = Discs(discs.near + near, discs.far + far, discs.radii + radii)
+        return limbs_fit(skeleton.tree, there, visible, grids, softness).gradient
+
+    slope, push = jax.linearize(uphill, jnp.zeros_like(leverage[..., 0]))
+    # No cell belongs to two limbs: one direction of all limbs at once gives a row of each.
+    ways = jnp.broadcast_to(jnp.eye(6, dtype=slope.dtype)[:, None], (6, *slope.shape))
+    blocks = jax.vmap(push, out_axes=2)(ways)
+    H = jnp.einsum("kia,kij,kjb->ab", leverage, blocks, leverage, precision=HIGHEST)
+    H += jax.jacfwd(lambda step: jnp.einsum("kia,ki->a", limbs(step)[0], slope, precision=HIGHEST))(
+        still
+    )
+    # What differs with the order of two turns is no curvature of the cost.
+    return (H + H.T) / 2
 
 
 def forearms(tree: Tree) -> np.ndarray:

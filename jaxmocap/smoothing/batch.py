@@ -29,8 +29,10 @@ from jaxmocap.evidence.appearance.learned import (
     learn_appearance,
     silhouette_grids,
 )
+from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.images.background_model import spread
 from jaxmocap.images.foreground import shrink
+from jaxmocap.images.silhouette_grid import blurred
 from jaxmocap.smoothing.elbow_viterbi import elbow_goals
 from jaxmocap.smoothing.facing import facing_in_time, references
 from jaxmocap.smoothing.linearise import rows_of, smooth_poses
@@ -239,6 +241,28 @@ def measurements_of(model: Model, first_pass: FirstPass) -> dict[str, Any]:
         return measured
     lines = jax.tree.map(lambda part: np.asarray(part, model.dtype), first_pass.sight_lines)
     return {**measured, "sight_lines": lines}
+
+
+def silhouettes_of(
+    model: Model, first_pass: FirstPass, videos: Sequence[VideoFrames]
+) -> SilhouetteGrids | None:
+    """What the cameras (C) show at each event (E), by the poses of the first pass; on the host.
+
+    Returns:
+        (E, C, ...), as the last solve draws them; of weight 0 where a camera has no frame. None
+        where no camera has one.
+    """
+    cameras = _frames_of_cameras(first_pass.frame_index, videos)
+    if not cameras:
+        return None
+    lengths = np.zeros(len(PROPORTIONS), model.dtype)
+    views = _views(model, cameras, Trajectory(first_pass.poses, lengths))
+    rows = np.zeros(first_pass.frame_index.shape, int)
+    rows[views.frame, views.camera] = np.arange(len(views.frame))
+    soft = views.grids.each_grid(lambda grid: blurred(grid, FINELY[-1]))
+    is_there = (first_pass.frame_index >= 0)[..., None, None].astype(np.float32)
+    grids = jax.tree.map(lambda part: part[rows], soft)
+    return grids.each_grid(lambda grid: grid._replace(weight=is_there * grid.weight))
 
 
 def _views(model: Model, cameras: Sequence[CameraFrames], trajectory: Trajectory) -> Views:

@@ -1,9 +1,11 @@
 """The batch smoother as a pure function of arrays: jit, vmap and derivatives go through it.
 
-All poses of T events at once, where the terms of evidence and the smoothness of the landmarks'
-motion cost least. The trajectory x is where the cost's slope vanishes; its derivatives are those of
-that minimum (``solvers.optimum``), by the whole Hessian, which is block-banded in time: every term
-belongs to one event, and of the prior that joins them only the landmarks' curvature is new.
+All poses of T events at once, where the terms of evidence, the silhouettes and the smoothness of
+the landmarks' motion cost least. The trajectory x is where the cost's slope vanishes; its
+derivatives are those of that minimum (``solvers.optimum``), by the whole Hessian, which is
+block-banded in time: every term belongs to one event, and of the prior that joins them only the
+landmarks' curvature is new. Which limb reaches farthest over a cell of a silhouette, and what hides
+a forearm, changes in jumps, which have no derivative.
 
 INPUTS: a Model, settings, Events. OUTPUTS: SmoothMotion.
 """
@@ -28,14 +30,17 @@ from jaxmocap.body.kinematics import (
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.compilation.arguments import check_kind, floating
+from jaxmocap.compilation.arguments import check_kind, check_shape, floating
 from jaxmocap.evidence.expansion import expanded
-from jaxmocap.evidence.shapes import checked_measurements, checked_pose
+from jaxmocap.evidence.shapes import checked_measurements, checked_pose, in_precision
+from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.evidence.smoothness import REACH, second_differences
 from jaxmocap.evidence.terms import Measurements, residuals
 from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.smoothing.linearise import SilhouettesFit, silhouettes_fit
 from jaxmocap.smoothing.settings import SmoothingSettings, weighed_by_time
 from jaxmocap.smoothing.window.elimination import Evidence, MarginalPrior, eliminate, steps_of
+from jaxmocap.smoothing.window.solving import SOFTNESS
 from jaxmocap.solvers.descent import tree_where
 from jaxmocap.solvers.optimum import following
 
@@ -58,11 +63,14 @@ class Events(NamedTuple):
             NaN where missing; ``upright``, ``facing`` and ``ankles`` of the markers' poses;
             ``elbows`` (T, 2, 3), NaN where no image shows them.
         poses: (T, ...) to start from; nothing is differentiated by them.
+        silhouettes: (T, C, ...) of the model's cameras, blurred over ``SOFTNESS`` cells; of weight
+            0 where a camera has no frame. None without.
     """
 
     times: Array
     measured: Measurements
     poses: Pose
+    silhouettes: SilhouetteGrids | None = None
 
 
 def checked_events(model: Model, events: Any) -> Events:
@@ -70,17 +78,24 @@ def checked_events(model: Model, events: Any) -> Events:
 
     Raises:
         TypeError: no events, or no real numbers in them.
-        ValueError: fewer than 3, or an array that has not a row for each.
+        ValueError: fewer than 3, an array that has not a row for each, or silhouettes of other
+            cameras than the model's.
     """
     check_kind("events", events, Events)
     times = np.shape(events.times)
     if len(times) == 1 and times[0] < FEWEST_EVENTS:
         raise ValueError(f"events: found {times[0]}, expected {FEWEST_EVENTS} or more")
     T = times[-1] if times else 0
+    if events.silhouettes is not None:
+        check_kind("events.silhouettes", events.silhouettes, SilhouetteGrids)
+        each = (T, model.camera_count)
+        for leaf in jax.tree.leaves(events.silhouettes):
+            check_shape("events.silhouettes", np.shape(leaf)[:2], each, "one for each camera")
     return Events(
         floating("events.times", events.times, (T,), model.dtype),
         checked_measurements("events.measured", model, events.measured, T),
         checked_pose("events.poses", model, events.poses, (T,)),
+        in_precision(model, events.silhouettes),
     )
 
 
@@ -109,6 +124,7 @@ class _Problem(NamedTuple):
     settings: SmoothingSettings
     times: Array
     measured: Measurements
+    silhouettes: SilhouetteGrids | None
 
 
 class _Slopes(NamedTuple):
@@ -141,7 +157,8 @@ def smooth_events(model: Model, settings: SmoothingSettings, events: Events) -> 
         events: T of them, 3 at least.
     """
     settings = weighed_by_time(settings, events.times)
-    problem = _Problem(model, settings, events.times, events.measured)
+    silhouettes = events.silhouettes and settings.silhouettes.weighted(events.silhouettes)
+    problem = _Problem(model, settings, events.times, events.measured, silhouettes)
     constant, start = jax.lax.stop_gradient((problem, events.poses))
     poses = following(_moved, problem, jax.lax.stop_gradient(_descended(constant, start)))
     points = jax.vmap(partial(landmarks, model.skeleton))(poses)
@@ -150,10 +167,12 @@ def smooth_events(model: Model, settings: SmoothingSettings, events: Events) -> 
 
 def _moved(problem: _Problem, poses: Pose) -> Pose:
     """Where poses at their minimum go as the problem changes."""
-    slopes = _slopes(jax.lax.stop_gradient(problem), poses)
+    slopes = _slopes(jax.lax.stop_gradient(problem), poses, exactly=True)
     # By tangent vectors (T, N) at the poses.
     still = jnp.zeros_like(slopes.gradient)
     gradient = jax.grad(lambda step: _cost(problem, retract(poses, step)))(still)
+    if problem.silhouettes is not None:
+        gradient += _drawn(problem, poses).gradient
     change = gradient - jax.lax.stop_gradient(gradient)
     _, evidence = _step(problem, slopes, jnp.zeros((), change.dtype))
     evidence = jax.lax.stop_gradient(evidence)._replace(gradient=change)
@@ -161,8 +180,8 @@ def _moved(problem: _Problem, poses: Pose) -> Pose:
 
 
 def _cost(problem: _Problem, poses: Pose) -> Array:
-    """() half the sum of all squares."""
-    model, settings, times, measured = problem
+    """() half the sum of all squares but the silhouettes'."""
+    model, settings, times, measured, _ = problem
     own = jax.vmap(lambda pose, each: residuals(settings.terms, model, pose, each))(poses, measured)
     points = jax.vmap(partial(landmarks, model.skeleton))(poses).reshape(len(times), -1)
     return (jnp.sum(own**2) + jnp.sum(_accelerations(problem, points) ** 2)) / 2
@@ -180,8 +199,11 @@ def _accelerations(problem: _Problem, points: Array) -> Array:
     return each[0] + each[1] + each[2]
 
 
-def _slopes(problem: _Problem, poses: Pose) -> _Slopes:
-    """Of the cost: Gauss-Newton leaves out the curvature of residuals and of landmarks."""
+def _slopes(problem: _Problem, poses: Pose, exactly: bool = False) -> _Slopes:
+    """Of the cost: Gauss-Newton leaves out the curvature of residuals and of landmarks.
+
+    Silhouettes' curvature is worth its time where it must be exact.
+    """
     skeleton, sites = problem.model.skeleton, landmark_sites(problem.model.skeleton)
 
     def landmarks_of(pose: Pose) -> tuple[Frames, Array]:
@@ -209,7 +231,29 @@ def _slopes(problem: _Problem, poses: Pose) -> _Slopes:
         poses, problem.measured, frames, points, pull
     )
     cost = (jnp.sum(squares) + jnp.sum(accelerations**2)) / 2
-    return _Slopes(cost, slope, own, bending, by_points)
+    slopes = _Slopes(cost, slope, own, bending, by_points)
+    if problem.silhouettes is None:
+        return slopes
+    drawn = _drawn(problem, poses, exactly)
+    return slopes._replace(
+        cost=cost + jnp.sum(drawn.cost) / 2,
+        gradient=slope + drawn.gradient,
+        hessian=own + drawn.hessian,
+        bending=bending + drawn.bending,
+    )
+
+
+def _drawn(problem: _Problem, poses: Pose, exactly: bool = False) -> SilhouettesFit:
+    """Of the silhouettes (T, ...) at poses."""
+    own, soft = problem.settings.silhouettes, jnp.asarray(SOFTNESS, poses.angles.dtype)
+
+    def of_event(each: tuple[Pose, SilhouetteGrids]) -> SilhouettesFit:
+        pose, grids = each
+        shown = jnp.any(grids.person.weight > 0, (1, 2))
+        return silhouettes_fit(problem.model, own, pose, shown, grids, soft, exactly)
+
+    # One after the other: a picture of the body fits the cache, a batch of them does not.
+    return jax.lax.map(of_event, (poses, problem.silhouettes))
 
 
 def _step(problem: _Problem, slopes: _Slopes, damping: Array) -> tuple[Array, Evidence]:

@@ -21,11 +21,17 @@ from threadpoolctl import threadpool_limits
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.arrays import Numbers, on_device
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.expansion import linearised
-from jaxmocap.evidence.silhouettes import SilhouetteGrids, silhouette_fit
+from jaxmocap.evidence.silhouettes import (
+    SilhouetteGrids,
+    Silhouettes,
+    silhouette_fit,
+    silhouette_hessian,
+)
 from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
@@ -168,6 +174,66 @@ def views_fit(
 
     # One after the other: a picture of the body fits the cache, a batch of them does not.
     return jax.lax.map(of_view, (poses, cameras, grids))
+
+
+class SilhouettesFit(NamedTuple):
+    """What all cameras' silhouettes of a person cost at a pose; N = 6 + D.
+
+    Attributes:
+        cost: ().
+        hessian: (N, N) J^T J.
+        gradient: (N,) J^T r, half the cost's.
+        bending: (N, N) what J^T J leaves out of half the cost's Hessian; 0 where nobody asks.
+    """
+
+    cost: Array
+    hessian: Array
+    gradient: Array
+    bending: Array
+
+
+def silhouettes_fit(
+    model: Model,
+    settings: Silhouettes,
+    pose: Pose,
+    shown: Array,
+    grids: SilhouetteGrids,
+    softness: Array,
+    exactly: bool = False,
+) -> SilhouettesFit:
+    """All cameras' silhouettes at one time, cameras as calibrated.
+
+    Args:
+        model: of the person and C cameras.
+        settings: their deviation counts.
+        pose: of the person.
+        shown: (C,) which cameras have a frame.
+        grids: (C, ...) weighted, as soft as what is drawn.
+        softness: () cells.
+        exactly: whether ``bending`` is found, for several times the time.
+    """
+    size, dtype = ROOT_DOF + pose.angles.size, pose.angles.dtype
+
+    def of_view(camera: Camera, own: SilhouetteGrids) -> SilhouettesFit:
+        view = camera, own, softness
+        fit = silhouette_fit(model.skeleton, None, pose, *view)
+        bending = jnp.zeros_like(fit[1])
+        if exactly:
+            bending = silhouette_hessian(model.skeleton, pose, *view) - fit[1]
+        weighed = jax.tree.map(lambda part: part / settings.deviation**2, (*fit, bending))
+        return SilhouettesFit(*weighed)
+
+    def with_camera(total: SilhouettesFit, each: tuple) -> tuple[SilhouettesFit, None]:
+        is_shown, *view = each
+
+        def added() -> SilhouettesFit:
+            return jax.tree.map(jnp.add, total, of_view(*view))
+
+        return jax.lax.cond(is_shown, added, lambda: total), None
+
+    square = jnp.zeros((size, size), dtype)
+    nothing = SilhouettesFit(square[0, 0], square, square[0], square)
+    return jax.lax.scan(with_camera, nothing, (shown, model.cameras, grids))[0]
 
 
 def linearise_problem(

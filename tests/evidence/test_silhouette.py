@@ -254,7 +254,7 @@ def test_the_parts_colours_are_told_from_the_rest_of_the_body(painted):
 
 def silhouette_cost(skeleton, frames, camera, grids: SilhouetteGrids, softness):
     """What ``silhouette_fit`` is the Gauss-Newton form of."""
-    discs, visible = project_limbs(skeleton, frames, camera, grids)
+    _, discs, visible = project_limbs(skeleton, frames, camera, grids)
     arms = Discs(*(part[forearms(skeleton.tree)] for part in discs))
     cost = coverage_cost(discs, grids.person, softness)
     cost += coverage_cost(arms, grids.forearms, softness, visible)

@@ -75,7 +75,7 @@ def test_people_of_one_stature_have_lengths_in_common():
 @jax.jit
 def coverage(pose, camera, grids):
     """The person (S, S) as the tracker draws it."""
-    discs, _ = project_limbs(PERSON, forward(PERSON, pose), camera, grids)
+    _, discs, _ = project_limbs(PERSON, forward(PERSON, pose), camera, grids)
     each = Discs(*(part[:, None] for part in discs))
     nearest = jnp.min(touch(each, *cells(CELLS, discs.near.dtype)).distance, 0)
     return jax.nn.sigmoid(-nearest / 0.2).reshape(CELLS, CELLS)

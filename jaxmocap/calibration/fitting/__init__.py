@@ -1,4 +1,4 @@
-"""What follows from a smoothed recording: a person's lengths, sensitivities, places of cameras.
+"""What follows from a smoothed recording: a person's lengths, places of cameras.
 
 Begin with ``lengths``; ``camera_plan`` is a room of its own.
 """

@@ -8,9 +8,10 @@ import numpy as np
 
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.skeleton import ELBOWS
-from jaxmocap.capture.footage import forward_readers
+from jaxmocap.capture.footage import cached_frames, forward_readers
 from jaxmocap.compilation.arrays import on_device
 from jaxmocap.compilation.clock import Clock
+from jaxmocap.evidence.appearance.learned import ROWS
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
@@ -18,7 +19,7 @@ from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned
 from jaxmocap.pipelines.tracking.track import make_tracker, open_recording
-from jaxmocap.smoothing.batch import measurements_of
+from jaxmocap.smoothing.batch import measurements_of, silhouettes_of
 from jaxmocap.smoothing.functions import Events
 
 
@@ -31,7 +32,8 @@ def first_pass(
 ) -> Events:
     """The events of a recording, and where the tracker puts the body event by event.
 
-    Elbows count as measured at events with a video frame, where the first pass had them.
+    Elbows count as measured at events with a video frame, where the first pass had them. So do the
+    silhouettes there, learned as in the second pass of ``track``.
 
     Args:
         recording: markers, and any number of videos.
@@ -63,6 +65,7 @@ def first_pass(
     points = landmarks_over_time(tracker.model.skeleton, found.poses)
     filmed = np.any(found.frame_index >= 0, -1, keepdims=True)[..., None]
     measured["elbows"] = np.where(filmed, points[:, ELBOWS], np.nan)
-    parts = (found.times - found.times[0], dict(measured), found.poses)
+    grids = silhouettes_of(tracker.model, found, cached_frames(used, ROWS)) if used else None
+    parts = (found.times - found.times[0], dict(measured), found.poses, grids)
     dtype = tracker.model.dtype
     return Events(*jax.tree.map(lambda part: on_device(part, dtype), parts))

@@ -17,13 +17,13 @@ from jax import Array
 
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, pack, retract, unpack
-from jaxmocap.evidence.silhouettes import Silhouettes, silhouette_fit
+from jaxmocap.body.pose import pack, retract, unpack
+from jaxmocap.evidence.silhouettes import Silhouettes
 from jaxmocap.evidence.smoothness import REACH, second_differences
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.smoothing.levenberg_marquardt import PRIORS_SHARE
-from jaxmocap.smoothing.linearise import FramesFit, frames_fit
+from jaxmocap.smoothing.linearise import FramesFit, frames_fit, silhouettes_fit
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.window.elimination import Evidence, MarginalPrior, eliminate, steps_of
 from jaxmocap.smoothing.window.state import Drawn, EventArrays
@@ -228,35 +228,17 @@ def _drawn_again(
     """Silhouettes of what is no longer near where it was drawn, about packed poses (E, 7 + D)."""
     away = jnp.max(jnp.abs(fit.points - drawn.points), 1)
     is_stale = events.have_frames & ~(away <= NEAR_M)
+    soft = jnp.asarray(SOFTNESS, poses.dtype)
 
     def one(i: Array, drawn: Drawn) -> Drawn:
         def there() -> Drawn:
-            cost, hessian, gradient = _costs(model, settings, events, i, unpack(poses[i]))
-            return Drawn(cost, hessian, gradient, fit.points[i], jnp.zeros_like(gradient))
+            grids = jax.tree.map(lambda part: part[i], events.grids)
+            shown, pose = jnp.asarray(events.shown)[i], unpack(poses[i])
+            cost, H, slope, _ = silhouettes_fit(model, settings, pose, shown, grids, soft)
+            return Drawn(cost, H, slope, fit.points[i], jnp.zeros_like(slope))
 
         here = jax.tree.map(lambda part: part[i], drawn)
         now = jax.lax.cond(is_stale[i], there, lambda: here)
         return jax.tree.map(lambda every, own: every.at[i].set(own), drawn, now)
 
     return jax.lax.fori_loop(0, events.filled, one, drawn)
-
-
-def _costs(
-    model: Model, settings: Silhouettes, events: EventArrays, i: Array, pose: Pose
-) -> tuple[Array, Array, Array]:
-    """What one event's silhouettes cost at a pose, J^T J (N, N) and J^T r (N,)."""
-    soft = jnp.asarray(SOFTNESS, pose.angles.dtype)
-
-    def of_camera(c: Array, total: tuple) -> tuple:
-        def added() -> tuple:
-            grids = jax.tree.map(lambda part: part[i, c], events.grids)
-            camera = jax.tree.map(lambda part: part[c], model.cameras)
-            fit = silhouette_fit(model.skeleton, None, pose, camera, grids, soft)
-            weighed = jax.tree.map(lambda own: own / settings.deviation**2, fit)
-            return jax.tree.map(jnp.add, total, weighed)
-
-        return jax.lax.cond(jnp.asarray(events.shown)[i, c], added, lambda: total)
-
-    size, dtype = 6 + pose.angles.size, pose.angles.dtype
-    nothing = jnp.zeros((), dtype), jnp.zeros((size, size), dtype), jnp.zeros(size, dtype)
-    return jax.lax.fori_loop(0, model.camera_count, of_camera, nothing)
