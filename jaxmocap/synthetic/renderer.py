@@ -94,12 +94,9 @@ class Scene:
 def render_frames(
     scene: Scene, times: np.ndarray, progress: Progress | None = None
 ) -> Iterator[np.ndarray]:
-    """Frames (H, W, 3), BGR uint8, one for each time.
+    """Frames (H, W, 3), BGR uint8, at the middles of exposures (F,), seconds.
 
-    Args:
-        scene: to be rendered.
-        times: (F,) the middles of the exposures, seconds.
-        progress: called with the frames done and their total.
+    ``progress`` is called with the frames done and their total.
     """
     camera = DrawingCamera.of(scene.camera)
     sensor = Sensor.create(camera.size, np.random.default_rng([scene.seed, 3]))

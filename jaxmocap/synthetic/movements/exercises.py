@@ -184,7 +184,7 @@ def exercise(
         raise ValueError(f"unknown exercise {name!r}; expected one of {', '.join(exercises)}")
     keys = exercises[name](seconds, np.random.default_rng([seed, 6]))
     times, stances = zip(*keys, strict=True)
-    curves = Spline.through(np.array(times), np.stack([stance.channels() for stance in stances]))
+    curves = Spline(np.array(times), np.stack([stance.channels() for stance in stances]))
     return Exerciser(rig, curves, PLANTED if name == "push_ups" else None, girdle=girdle)
 
 

@@ -309,7 +309,7 @@ def _varied(posture: Posture, rng: np.random.Generator) -> Posture:
 
 def spline_through(keys: list[tuple[float, Posture]]) -> Spline:
     """The spline through key postures at times in seconds."""
-    return Spline.through(
+    return Spline(
         np.array([time for time, _ in keys]), np.stack([key.channels() for _, key in keys])
     )
 
