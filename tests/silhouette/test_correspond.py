@@ -13,6 +13,7 @@ from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import (
     ALONG_WEIGHT,
     Contour,
+    ContourPairs,
     matched_pairs,
     pairs_of,
 )
@@ -107,7 +108,8 @@ def test_a_pose_is_found_from_four_silhouettes(finder, degrees):  # noqa: F811
         actual = matched_pairs(finder.find(finder.initial_shape, pose, CAMERAS), outlines)
         weights = jnp.asarray(actual.valid, jnp.float32)
         points = finder.initial_shape.points(actual.nodes)
-        rays = PAIRS(CAMERAS, points, actual.pixels_xy, actual.normals, weights, ALONG_WEIGHT)
+        pairs = (points, actual.pixels_xy, actual.normals, weights, None, ALONG_WEIGHT)
+        rays = PAIRS(CAMERAS, ContourPairs(*pairs))
         pose = SOLVE(BODY, pose, rays, PoseSettings(iterations=3, deviation=0.005), prior).pose
     wrong = np.abs(np.asarray(difference(pose, truth)))
     hinges = [

@@ -15,9 +15,9 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.canvases import full_mask, silhouette_distance
 from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
-from jaxmocap.silhouette.device_functions import fit
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
 from jaxmocap.silhouette.fit import cycles
+from jaxmocap.silhouette.fit.cycles import fit
 from jaxmocap.silhouette.segmentation.background_models import BackgroundLearner, OnlineBackground
 from jaxmocap.silhouette.segmentation.segment import SegmentationPlan, Stage
 from jaxmocap.silhouette.settings import FAR_OFF, Settings, progressive

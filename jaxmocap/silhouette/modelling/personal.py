@@ -194,10 +194,7 @@ def photograph_poses(
 def arm_angles(bones: ArmBones, sign: float, straight: bool) -> dict[str, float]:
     """Joint -> angle, radians, of an arm, the trunk upright and facing +x.
 
-    Args:
-        bones: where they are.
-        sign: 1 left, -1 right.
-        straight: the elbow is, and its inner side looks ahead; else the bones say.
+    ``sign`` is 1 left, -1 right. A ``straight`` elbow's inner side looks ahead; else the bones say.
     """
     shoulder, elbow, wrist, _ = bones
     upper = wrist - shoulder if straight else elbow - shoulder

@@ -58,7 +58,7 @@ def find_thighs(
         if runs[0] == runs[1]:
             continue
         ends = np.array([[x, row] for run in runs for x in (run[0] - 0.5, run[1] + 0.5)])
-        edges = front.plane_points(ends, middle, ahead)
+        edges = front.plane_points(ends, middle)
         across, height = np.sort(edges[:, 1].reshape(2, 2), 1), edges[:, 2].mean()
         at = np.array([[middle[0], y, height] for y in across.mean(1)])
         # One thigh hides the other: each reaches as far as the nearer edge at most.

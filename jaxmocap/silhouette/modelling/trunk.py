@@ -50,10 +50,9 @@ def find_trunk(
 ) -> Trunk:
     """Everything but the arms, from the bottom line to the top of the head."""
     middle = trunk_middle(front, side, landmarks)
-    ahead = np.array([1.0, 0.0, 0.0])
-    pits = front.plane_points(landmarks.pits, middle, ahead)
+    pits = front.plane_points(landmarks.pits, middle)
     rows = np.array([[landmarks.middle_x, landmarks.bottom], [landmarks.neck_x, landmarks.top]])
-    low, high = front.plane_points(rows, middle, ahead)[:, 2]
+    low, high = front.plane_points(rows, middle)[:, 2]
     heights = np.linspace(low, high - 0.004, RINGS)
     corners, middles = [], []
     for height in heights:
@@ -93,30 +92,20 @@ def slice_corners(
 ) -> np.ndarray:
     """(4, 2) corners of a slice: front left, back left, back right, front right; metres.
 
-    Args:
-        front: the view from the front.
-        side: the view from the side.
-        middle: (3,) a point within the slice.
-        pits: (2, 3) arm pits: above them what lies farther out is arm.
+    About a point (3,) within; above the arm pits (2, 3) what lies farther out is arm.
     """
     left, ahead = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
     across = [front.extent(middle[None], s * left, FARTHEST_M)[0] for s in (1, -1)]
     deep = [side.extent(middle[None], s * ahead, FARTHEST_M)[0] for s in (1, -1)]
     if middle[2] > pits[:, 2].min():
         across = [min(a, abs(pit[1] - middle[1])) for a, pit in zip(across, pits, strict=True)]
-    lines_front = [
-        _line(front, middle + s * a * left) for s, a in zip((1, -1), across, strict=True)
-    ]
-    lines_side = [_line(side, middle + s * d * ahead) for s, d in zip((1, -1), deep, strict=True)]
+    edges_front = [middle + s * a * left for s, a in zip((1, -1), across, strict=True)]
+    edges_side = [middle + s * d * ahead for s, d in zip((1, -1), deep, strict=True)]
+
+    def crossing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Seen from above: where the front's line through one edge meets the side's."""
+        first, second = (a - front.centre)[:2], (b - side.centre)[:2]
+        return a[:2] + np.linalg.solve(np.stack([first, -second], 1), (b - a)[:2])[0] * first
+
     order = ((0, 0), (0, 1), (1, 1), (1, 0))
-    return np.stack([_crossing(lines_front[f], lines_side[s]) for f, s in order])
-
-
-def _line(view: PhotographView, edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Seen from above: a point, and the direction from the camera through it."""
-    return edge[:2], (edge - view.centre)[:2]
-
-
-def _crossing(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    share = np.linalg.solve(np.stack([a[1], -b[1]], 1), b[0] - a[0])[0]
-    return a[0] + share * a[1]
+    return np.stack([crossing(edges_front[f], edges_side[s]) for f, s in order])

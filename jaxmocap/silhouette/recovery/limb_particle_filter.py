@@ -70,17 +70,9 @@ def search_limb(
     particles: Array,
     key: Array,
 ) -> LimbSearchResult:
-    """Search a limb's angles.
+    """Search a limb's angles, from particles (P, K) of the frame before.
 
-    Args:
-        skeleton: of the person.
-        cameras: C, stacked.
-        pose: as estimated, one hypothesis.
-        limb: that may be elsewhere.
-        evidence: what is to be explained.
-        particles: (P, K) angles of the frame before; the pose's own where the limb was in its
-            place.
-        key: of the pseudo-random numbers: the same gives the same.
+    Those are the pose's own where the limb was in its place. The same key gives the same.
     """
     here, limits = pose.angles[limb.joints], skeleton.limits[limb.joints]
 
@@ -105,11 +97,7 @@ def _layers(
 ) -> tuple[Array, Array, Array, Array]:
     """Particles (P, K) after all layers; angles (N, K), gains and scores (N,) of every layer's.
 
-    Args:
-        particles: (P, K) to begin with.
-        key: of the pseudo-random numbers.
-        limits: (K, 2) of their angles.
-        weigh: the gains and the scores (P,) of angles (P, K).
+    ``limits`` (K, 2) are of their angles; ``weigh`` gives gains and scores (P,) of angles (P, K).
     """
 
     def layer(carry: tuple[Array, Array], numbers: tuple) -> tuple[tuple[Array, Array], tuple]:

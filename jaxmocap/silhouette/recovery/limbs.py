@@ -94,11 +94,7 @@ def bins_along(
 ) -> np.ndarray:
     """(N,) numbers of the places, A of each bone one after the other, that points lie nearest to.
 
-    Args:
-        skeleton: of the person.
-        limb: of B bones.
-        points: N; of those elsewhere the number is -1.
-        shares: (A,) where the places lie, of a bone's length.
+    -1 of points elsewhere. Places lie at ``shares`` (A,) of a bone's length.
     """
     carrier, places = carried_most(points)
     numbers = np.full(len(carrier), -1)

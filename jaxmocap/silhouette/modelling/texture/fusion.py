@@ -63,12 +63,7 @@ def gains(
 def fused(
     colours: Sequence[np.ndarray], weights: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(..., 3) colours, the linear blend of several; (...) the largest weight.
-
-    Args:
-        colours: P times (..., 3).
-        weights: P times (...).
-    """
+    """The linear blend (..., 3) of P colours (..., 3) by weights (...), and the largest weight."""
     best = np.maximum(np.max(weights, 0), 1e-9)
     shares = [np.maximum(w / best - LEAST_SHARE, 0) for w in weights]
     total = np.sum(shares, 0)
