@@ -84,12 +84,7 @@ class IntrinsicsEstimate:
 def estimate_intrinsics(
     views: Sequence[BoardView], size: tuple[int, int], kind: LensKind | None = None
 ) -> IntrinsicsEstimate:
-    """Calibrate a camera from views of a board, without those whose corners are wrong.
-
-    Args:
-        views: at least three.
-        size: width and height of the pictures, pixels.
-        kind: of the lens; defaults to an ordinary one with k1 k2 p1 p2.
+    """Calibrate a camera by three views of a board or more, without those whose corners are wrong.
 
     Raises:
         ArithmeticError: the views determine nothing.
