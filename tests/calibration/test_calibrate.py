@@ -310,11 +310,21 @@ def wall(tmp_path) -> str:
     return str(tmp_path / "wall.png")
 
 
-def test_too_few_boards_are_refused_with_the_files_that_show_none(
-    photographs, wall, tmp_path, uncalibrated
+@pytest.mark.parametrize(
+    ("shown", "board", "says"),
+    [
+        ((0, 1, 2, "wall"), "4x7",
+         "in 3 different pictures of 4; no board in wall.png; expected 5 or more"),
+        ((0, 1, 2, 3, 0, 1), "4x7",
+         "4 different pictures of 6; the same as an earlier one: view_1.png, view_2.png"),
+        ((0, 1), "5x8", "view_1.png shows a 4x7 board: inner corners are counted"),
+    ],
+)  # fmt: skip
+def test_too_few_boards_are_refused_with_the_files_that_show_none_or_no_other(
+    photographs, wall, uncalibrated, shown, board, says
 ):
-    message = uncalibrated(*photographs[:3], wall, *BOARD_OPTIONS)
-    assert "in 3 different pictures of 4; no board in wall.png; expected 5 or more" in message
+    paths = [wall if each == "wall" else photographs[each] for each in shown]
+    assert says in uncalibrated(*paths, "--board", board, *BOARD_OPTIONS[2:])
 
 
 def test_what_is_refused_is_drawn_too(photographs, wall, tmp_path, uncalibrated):
@@ -343,20 +353,6 @@ def test_a_video_without_a_board_is_refused_with_what_was_looked_at(tmp_path, un
     writer.release()
     message = uncalibrated(path, *BOARD_OPTIONS)
     assert "0 different pictures of 0; empty.avi: board found in 0 of 4 frames examined" in message
-
-
-def test_the_same_picture_again_is_no_other_view(photographs, tmp_path, uncalibrated):
-    again = [*photographs[:4], photographs[0], photographs[1]]
-    message = uncalibrated(*again, *BOARD_OPTIONS)
-    assert (
-        "4 different pictures of 6; the same as an earlier one: view_1.png, view_2.png" in message
-    )
-
-
-def test_squares_in_place_of_corners_get_a_hint(photographs, tmp_path, uncalibrated):
-    squares = ["--board", "5x8", *BOARD_OPTIONS[2:]]
-    message = uncalibrated(*photographs[:2], *squares)
-    assert "view_1.png shows a 4x7 board: inner corners are counted" in message
 
 
 def test_boards_that_are_all_parallel_are_refused(tmp_path, uncalibrated):

@@ -135,8 +135,6 @@ def test_what_was_measured_with_y_up_is_turned_to_z_up(folder):
     # The same board given in a system of y up: world = (z, x, y) of the file.
     from_world = np.eye(3)[[1, 2, 0]]
     T = board_to_world(POSE)
-    from scipy.spatial.transform import Rotation
-
     angles = Rotation.from_matrix(from_world @ T[:3, :3]).as_euler("xyz", degrees=True)
     pose = numbers([*(from_world @ T[:3, 3]), *angles])
     assert run(folder, *CHESS, "--pose", pose, "--up", "y") == 0

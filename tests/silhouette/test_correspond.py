@@ -24,13 +24,7 @@ PAIRS, SOLVE = jax.jit(pairs_of), jax.jit(solve_pose)
 
 
 def contour_of(phi: np.ndarray, origin: np.ndarray, scale: float) -> Contour:
-    """The zero line of a level set, to a fraction of a cell.
-
-    Args:
-        phi: (S, S) cells, positive within the person.
-        origin: (2,) of the canvas' region.
-        scale: of the region, pixels to a cell.
-    """
+    """The zero line of a level set (S, S), cells, to a fraction of a cell."""
     cells, normals = traced_boundary((phi > 0).astype(np.uint8))
     x, y = cells.T
     # The traced cells are the last within; the line lies beyond them by what phi says.

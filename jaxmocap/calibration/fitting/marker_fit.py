@@ -1,8 +1,8 @@
 """A person's body and where markers sit on it, by the markers themselves.
 
-Lengths and offsets are shared by all
-samples and vary as they do among people: Gauss-Newton's equations have an arrow's shape, the poses
-are eliminated, and the shared unknowns remain (a Schur complement).
+Lengths and offsets are shared by all samples and vary as they do among people: Gauss-Newton's
+equations have an arrow's shape, the poses are eliminated, and the shared unknowns remain (a Schur
+complement).
 
 INPUTS: a Model, positions of its markers in some samples. OUTPUTS: the fitted model, and how
 sure landmarks are.

@@ -57,7 +57,7 @@ def find_landmarks(mask: np.ndarray, bottom: int | None = None) -> FrontLandmark
     bottom = crotch(mask) if bottom is None else bottom
     first, last = trunk_run(mask, bottom)
     middle = (first + last) / 2
-    pits = arm_pits(mask, bottom, middle)
+    pits = arm_pits(mask, top, bottom, middle)
     neck, neck_x = narrowest_neck(mask, top, int(pits[:, 1].min()), middle)
     return FrontLandmarks(top, neck, neck_x, pits, bottom, middle)
 
@@ -99,13 +99,12 @@ def trunk_run(mask: np.ndarray, row: int, x: float | None = None) -> tuple[int, 
     return int(firsts[best]), int(lasts[best])
 
 
-def arm_pits(mask: np.ndarray, bottom: int, middle_x: float) -> np.ndarray:
+def arm_pits(mask: np.ndarray, top: int, bottom: int, middle_x: float) -> np.ndarray:
     """(2, 2) the highest places between trunk and arms, pixels: the corners of the silhouette.
 
     Going up from the bottom line the trunk's run of pixels ends at gaps on both sides; where a
     gap ends, the run leaps out over the arm.
     """
-    top = int(np.flatnonzero(mask.any(1))[0])
     runs = np.zeros((bottom + 1, 2), int)
     for row in range(bottom, top - 1, -1):
         runs[row] = trunk_run(mask, row, middle_x)

@@ -51,14 +51,10 @@ class ImageHistory(NamedTuple):
         for image, last, count in zip(images, self.thumbnails, self.rejections, strict=True):
             now = None if image is None else thumbnail(image)
             other = now is not None and last is not None and changed_share(last, now) > share
-            if other and count < patience:
-                kept.append(None)
-                thumbnails.append(last)
-                rejections.append(count + 1)
-                continue
-            kept.append(image)
-            thumbnails.append(last if now is None else now)
-            rejections.append(0)
+            is_rejected = other and count < patience
+            kept.append(None if is_rejected else image)
+            thumbnails.append(last if is_rejected or now is None else now)
+            rejections.append(count + 1 if is_rejected else 0)
         return kept, ImageHistory(tuple(thumbnails), tuple(rejections))
 
 
