@@ -142,12 +142,10 @@ def poses_of_lines(
 
 
 def weighed_by_scatter(points: np.ndarray, lines: SightLines, deviation: float) -> SightLines:
-    """Lines whose confidences are smaller where a camera's landmark scatters by more.
+    """Lines (T, ...) whose confidences are smaller where a camera's landmark scatters by more.
 
-    Args:
-        points: (T, L, 3) the landmarks where all lines together have them, metres.
-        lines: (T, ...) of C cameras.
-        deviation: of a point of full confidence, metres at the person; no scatter counts as less.
+    ``points`` (T, L, 3) are where all lines together have the landmarks, metres. ``deviation`` is
+    of a point of full confidence, metres at the person; no scatter counts as less.
     """
     confidences, ways = np.asarray(lines.confidences), np.asarray(lines.directions)
     off = points[:, None] - np.asarray(lines.origin)[:, :, None]

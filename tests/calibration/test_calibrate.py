@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from drawn_boards import BOARD, CHARUCO, LENS, SIZE, WALL, draw, held, views, write_views
+from drawn_boards import BOARD, CHARUCO, LENS, SIZE, WALL, draw, held, pixels_of, views, write_views
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -69,19 +69,11 @@ def calibrated(photographs, tmp_path_factory):
     return folder, json.loads(figures.read_text())
 
 
-def projected(T_cam_board, noise: float = 0.1, board: Board = BOARD, seed: int = 0) -> np.ndarray:
-    """Corners (N, 2) as the lens shows them, with noise in pixels."""
-    rvec, _ = cv2.Rodrigues(T_cam_board[:3, :3])
-    points, tvec = board.points_board, T_cam_board[:3, 3]
-    pixels, _ = cv2.projectPoints(points, rvec, tvec, LENS.matrix, LENS.distortions)
-    pixels = pixels.reshape(-1, 2)
-    return pixels + np.random.default_rng(seed).normal(0, noise, pixels.shape)
-
-
 def noisy_views(noise: float = 0.1) -> list[BoardView]:
     placed = enumerate(views())
     return [
-        BoardView(f"view {i}", BOARD.points_board, projected(T, noise, seed=i)) for i, T in placed
+        BoardView(f"view {i}", BOARD.points_board, pixels_of(BOARD.points_board, T, noise, i))
+        for i, T in placed
     ]
 
 
@@ -160,7 +152,9 @@ def test_the_origin_is_found_however_the_board_is_turned(board, turn):
     T_cam_board = held(board, 20, -15, turn)
     corners = find_corners(draw(board, T_cam_board), board)
     assert corners is not None and not corners.orders
-    np.testing.assert_allclose(corners.pixels_xy, projected(T_cam_board, 0, board), atol=0.3)
+    np.testing.assert_allclose(
+        corners.pixels_xy, pixels_of(board.points_board, T_cam_board), atol=0.3
+    )
 
 
 def test_a_board_that_looks_the_same_turned_is_told_in_every_reading():
@@ -168,7 +162,7 @@ def test_a_board_that_looks_the_same_turned_is_told_in_every_reading():
         T_cam_board = held(board, 20, -15, 100)
         corners = find_corners(draw(board, T_cam_board), board)
         assert corners is not None and len(corners.orders) + 1 == count
-        truth = projected(T_cam_board, 0, board)
+        truth = pixels_of(board.points_board, T_cam_board)
         errors = [np.abs(o - truth).max() for o in (corners.pixels_xy, *corners.orders)]
         assert sorted(errors)[0] < 0.3 and sorted(errors)[1] > 50
 
@@ -177,7 +171,7 @@ def test_a_charuco_board_calibrates_though_parts_of_it_are_hidden(tmp_path):
     paths = write_views(tmp_path, CHARUCO)
     for path, T_cam_board in zip(paths[:3], views(CHARUCO), strict=False):
         image = cv2.imread(path)
-        image[int(projected(T_cam_board, 0, CHARUCO)[:, 1].mean()) + 20 :] = WALL
+        image[int(pixels_of(CHARUCO.points_board, T_cam_board)[:, 1].mean()) + 20 :] = WALL
         cv2.imwrite(path, image)
     out = tmp_path / "c.toml"
     actual = calibrate_camera(paths, CHARUCO, "cam", out)
@@ -229,7 +223,13 @@ def test_files_of_one_name_from_two_folders_are_told_apart(photographs, tmp_path
 
 
 def test_coverage_names_the_parts_of_the_image_where_no_board_was():
-    left = [BoardView("a", BOARD.points_board, projected(held(BOARD, 0, 0, 0, (-0.35, 0.0, 1.2))))]
+    left = [
+        BoardView(
+            "a",
+            BOARD.points_board,
+            pixels_of(BOARD.points_board, held(BOARD, 0, 0, 0, (-0.35, 0.0, 1.2)), 0.1),
+        )
+    ]
     coverage = image_coverage(left, SIZE)
     assert coverage.empty and all("left" not in name for name in coverage.empty if "right" in name)
     assert {"top right", "middle right", "bottom right"} <= set(coverage.empty)

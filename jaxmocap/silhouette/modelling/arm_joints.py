@@ -55,11 +55,7 @@ def arm_axis(
 ) -> np.ndarray:
     """(K, 2) the way from a place in the trunk to the farthest end beyond an arm pit's column.
 
-    Args:
-        axis: of the whole silhouette.
-        start_xy: where to begin, in the trunk's middle.
-        pit_xy: of the arm, which lies farther from the start than this, and above ``lowest``.
-        lowest: row that arms do not hang below.
+    The arm lies farther from the start than its pit, and above the row ``lowest``.
     """
     side = np.sign(pit_xy[0] - start_xy[0])
     beyond = side * (axis.pixels_xy[:, 0] - pit_xy[0]) > 0

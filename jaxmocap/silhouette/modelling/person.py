@@ -119,10 +119,8 @@ def person_model(
 ) -> PersonModel:
     """A model from the views ``front``, ``side``, ``joint`` and ``arm_side``.
 
-    Args:
-        views: the four of them.
-        bottom: row of the trunk's bottom line in the front view; found where the legs part.
-        reading: how joints and slices are made of silhouettes.
+    ``bottom`` is the row of the trunk's bottom line in the front view; without it, where the legs
+    part.
 
     Raises:
         ValueError: what a view shows is not the stance that is asked for.

@@ -66,10 +66,8 @@ class PersonalModel(NamedTuple):
 def personal_model(model: PersonModel, height: float | None = None) -> PersonalModel:
     """Skeleton, surface and poses of a person.
 
-    Args:
-        model: of four photographs.
-        height: of the body, metres, which gives the legs' length; by default as those of
-            people with such a trunk and head.
+    The height, metres, gives the legs' length; by default as those of people with such a trunk and
+    head.
 
     Raises:
         ValueError: a height that does not suit the trunk and head in the photographs.

@@ -44,11 +44,9 @@ class FrontLandmarks(NamedTuple):
 
 
 def find_landmarks(mask: np.ndarray, bottom: int | None = None) -> FrontLandmarks:
-    """Landmarks of a silhouette (H, W) bool.
+    """Landmarks of a silhouette (H, W) bool, from the front.
 
-    Args:
-        mask: of the person, from the front.
-        bottom: row of the trunk's bottom line; where not given it is found: where the legs part.
+    ``bottom`` is the row of the trunk's bottom line; without it, where the legs part.
 
     Raises:
         ValueError: no gap between an arm and the trunk, or none between the legs.

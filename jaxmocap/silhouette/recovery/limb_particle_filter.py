@@ -99,11 +99,17 @@ def _layers(
 
     ``limits`` (K, 2) are of their angles; ``weigh`` gives gains and scores (P,) of angles (P, K).
     """
+    low, high = limits.T
 
     def layer(carry: tuple[Array, Array], numbers: tuple) -> tuple[tuple[Array, Array], tuple]:
         old, uniform_share = carry
         key, spread, inverse_temperature = numbers
-        drawing, angles = _spread(limits, old, key, uniform_share, spread)
+        fresh, moving, choosing, drawing = jax.random.split(key, 4)
+        # About the old ones, a share of them anywhere.
+        moved = old + spread * jax.random.normal(moving, old.shape, old.dtype)
+        anywhere = low + (high - low) * jax.random.uniform(fresh, old.shape, old.dtype)
+        is_fresh = jax.random.uniform(choosing, (len(old), 1), old.dtype) < uniform_share
+        angles = jnp.clip(jnp.where(is_fresh, anywhere, moved), low, high)
         gains, scores = weigh(angles)
         weights = jax.nn.softmax(inverse_temperature * scores)
         kept = angles[systematic_resampling(drawing, weights)]
@@ -117,18 +123,6 @@ def _layers(
     (left, _), layers = jax.lax.scan(layer, carry, (keys, spreads, temperatures))
     angles, gains, scores = (jnp.concatenate(part) for part in layers)
     return left, angles, gains, scores
-
-
-def _spread(
-    limits: Array, old: Array, key: Array, uniform_share: Array, spread: Array
-) -> tuple[Array, Array]:
-    """A key for what follows; particles (P, K) about the old ones, a share of them anywhere."""
-    low, high = limits.T
-    fresh, moving, choosing, drawing = jax.random.split(key, 4)
-    moved = old + spread * jax.random.normal(moving, old.shape, old.dtype)
-    anywhere = low + (high - low) * jax.random.uniform(fresh, old.shape, old.dtype)
-    is_fresh = jax.random.uniform(choosing, (len(old), 1), old.dtype) < uniform_share
-    return drawing, jnp.clip(jnp.where(is_fresh, anywhere, moved), low, high)
 
 
 def distinct_particles(angles: Array, scores: Array) -> Array:

@@ -39,13 +39,10 @@ class ImageHistory(NamedTuple):
     def accepted(
         self, images: Sequence[np.ndarray | None], share: float, patience: int
     ) -> tuple[list[np.ndarray | None], "ImageHistory"]:
-        """The images that are to be used, None in place of the others.
+        """The images (H, W, 3) uint8 that are to be used, None in place of the others.
 
-        Args:
-            images: (H, W, 3) uint8 of each camera, None where there is none.
-            share: of its cells in which an image may differ from the last accepted one.
-            patience: after so many rejections a camera is accepted again, whatever it shows:
-                somebody switched the light on.
+        One may differ from the last accepted one in a ``share`` of its cells. After ``patience``
+        rejections a camera is accepted again, whatever it shows: somebody switched the light on.
         """
         kept, thumbnails, rejections = [], [], []
         for image, last, count in zip(images, self.thumbnails, self.rejections, strict=True):

@@ -204,12 +204,8 @@ def morph_around(
 ) -> Morph:
     """A morphing of one skeleton and the surface around it.
 
-    Args:
-        morphing: what goes along.
-        tree: of the skeleton.
-        surface: N nodes.
-        joints: (B, 3) of the bones with all angles 0, metres.
-        spacing: of the nodes that go along, metres, if those are ``resampled``.
+    ``joints`` (B, 3) are of the bones with all angles 0, metres; ``spacing``, metres, is of the
+    nodes that go along, if those are ``resampled``.
 
     Raises:
         KeyError: no such joint, or no such weighting.

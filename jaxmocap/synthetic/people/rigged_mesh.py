@@ -177,12 +177,9 @@ class RiggedMesh(ABC):
 
 
 def load_rig(file: str | Path, who: str | None = None, seed: int = 0) -> Rig:
-    """One of the people of a file, in clothes worn as the seed says.
+    """One of the people of an .npz file, see ``FILE_ARRAYS``, in clothes worn as the seed says.
 
-    Args:
-        file: .npz of people, see ``FILE_ARRAYS``.
-        who: by name; None is the one called man, or else the first.
-        seed: of the clothes.
+    Without a name the one called man, or else the first.
 
     Raises:
         InputError: no such file, another kind of file, or one that contradicts itself.

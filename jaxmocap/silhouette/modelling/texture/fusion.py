@@ -43,10 +43,8 @@ def gains(
     By the backdrop, where it is the same: where that makes colours of places agree which both
     pictures show. By these alone it could not be separated from light that comes from one side.
 
-    Args:
-        colours: P times (K, 3), grey levels.
-        weights: P times (K,), 0 where a picture does not show the place.
-        backdrops: (P, 3) their colours, grey levels.
+    Each picture's colours (K, 3) and the backdrops' (P, 3) are grey levels; weights (K,) are 0
+    where a picture does not show the place.
     """
     factors = [np.ones(3)]
     for colour, weight, backdrop in zip(colours[1:], weights[1:], backdrops[1:], strict=True):
