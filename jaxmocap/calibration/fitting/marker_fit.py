@@ -154,11 +154,9 @@ def _cost_of_all(model: Model, targets: Array, place: tuple[MarkedPerson, Pose])
 def _shared_equations(
     model: Model, targets: Array, person: MarkedPerson, poses: Pose, damping: Array
 ) -> tuple[Array, Array, Array]:
-    """Equations of what is shared, the poses eliminated.
+    """Equations of what is shared, left (S, S) and right (S,), the poses eliminated.
 
-    Returns:
-        Left (S, S) and right (S,); how poses follow what is shared, and their own step, (K, N,
-        S + 1).
+    And (K, N, S + 1) how poses follow what is shared, and their own step.
     """
     there = fitted_model(model, person)
 

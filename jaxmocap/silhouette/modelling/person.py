@@ -24,8 +24,7 @@ from jaxmocap.silhouette.modelling.pictures.medial_axis import medial_axis, rim_
 from jaxmocap.silhouette.modelling.pictures.views import PhotographView
 from jaxmocap.silhouette.modelling.readings import OWN, Reading
 from jaxmocap.silhouette.modelling.separation import FrontLandmarks, find_landmarks, narrowest_neck
-from jaxmocap.silhouette.modelling.thighs import Thighs, find_thighs
-from jaxmocap.silhouette.modelling.trunk import Trunk, find_trunk
+from jaxmocap.silhouette.modelling.trunk import Thighs, Trunk, find_thighs, find_trunk
 
 # Unit vector of the world in which the person faces +x.
 UP = np.array([0.0, 0.0, 1.0])

@@ -184,7 +184,8 @@ def segment(
         force = ratio + (downsampled(prior) if stage.coarse else prior)
         width = stage.width
         if plan.background:
-            width = width + (stage.background_width - width) * pixels.images.certainty
+            wider = jnp.asarray(pixels.images.certainty)
+            width = width + (stage.background_width - width) * wider
         moved = evolve(here, force, settings.motion, width, stage.steps)
         phi = jnp.clip(upsampled(moved), -BAND, BAND) if stage.coarse else moved
     kept = Histograms(
@@ -203,11 +204,11 @@ class _Pixels(NamedTuple):
     @classmethod
     def of(cls, images: CanvasImages, plan: SegmentationPlan) -> "_Pixels":
         """With the bins of histograms, and the density of the background."""
-        bins = (densities.joint_bins if plan.colour else densities.grey_bins)(images.colour)
+        colour, room, noise = map(jnp.asarray, (images.colour, images.background, images.noise))
+        bins = (densities.joint_bins if plan.colour else densities.grey_bins)(colour)
         density = jnp.zeros(())
         if plan.background:
-            shown = images.colour, images.background, images.noise
-            density = densities.background_density(*shown)
+            density = densities.background_density(colour, room, noise)
         return cls(images, bins, density)
 
 
