@@ -30,13 +30,7 @@ _MAX_ROUNDS = 10
 
 @dataclass(frozen=True)
 class BoardView:
-    """A board's corners in one picture.
-
-    Attributes:
-        name: of the picture.
-        points_board: (N, 3) metres.
-        pixels_xy: (N, 2) where they are detected.
-    """
+    """A board's corners in one picture: (N, 3) metres, detected at pixels (N, 2)."""
 
     name: str
     points_board: np.ndarray

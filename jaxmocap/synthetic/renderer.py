@@ -266,9 +266,7 @@ def camera_at(azimuth: float) -> Camera:
 class RotatedMover:
     """A mover rotated about the world's vertical, before a camera that stays in place.
 
-    Attributes:
-        mover: who moves.
-        azimuth: of the camera about the mover, degrees.
+    ``azimuth`` is the camera's about the mover, degrees.
     """
 
     mover: Mover

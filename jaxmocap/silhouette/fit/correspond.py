@@ -36,12 +36,7 @@ ALONG_WEIGHT = 0.1
 
 
 class Contour(NamedTuple):
-    """K pixels of one camera's contour.
-
-    Attributes:
-        pixels_xy: (K, 2) in the whole image.
-        normals: (K, 2) unit vectors out of the person.
-    """
+    """Pixels (K, 2) of a camera's contour in the whole image, and unit normals (K, 2) out of it."""
 
     pixels_xy: np.ndarray
     normals: np.ndarray

@@ -16,13 +16,7 @@ from jaxmocap.body.surfaces.surface import BodyPoints, Surface
 
 
 class LimbChain(NamedTuple):
-    """A limb of B bones and K joints.
-
-    Attributes:
-        bones: (B,) indices.
-        joints: (K,) indices.
-        radii: (B,) metres.
-    """
+    """A limb of B bones and K joints, by their indices, and the bones' radii (B,), metres."""
 
     bones: np.ndarray
     joints: np.ndarray

@@ -104,12 +104,7 @@ class PostureChannels(NamedTuple):
 
 
 class BoneFrames(NamedTuple):
-    """Frames of B bones over T instants.
-
-    Attributes:
-        joints_world: (T, B, 3) metres.
-        R_world_bone: (T, B, 3, 3).
-    """
+    """Frames of B bones over T instants: joints (T, B, 3), metres, and rotations (T, B, 3, 3)."""
 
     joints_world: np.ndarray
     R_world_bone: np.ndarray

@@ -166,12 +166,7 @@ error_and_slope = jax.jit(jax.value_and_grad(expected_error, argnums=1))
 
 
 class Ring(NamedTuple):
-    """Places about the person, before any is improved.
-
-    Attributes:
-        places: (K, ...) of them.
-        errors: (K,) that are expected there, metres.
-    """
+    """K places about the person, before any is improved, and errors (K,) expected there, metres."""
 
     places: CameraPlace
     errors: np.ndarray
