@@ -80,6 +80,8 @@ def estimate_intrinsics(
 ) -> IntrinsicsEstimate:
     """Calibrate a camera by three views of a board or more, without those whose corners are wrong.
 
+    The pictures' ``size`` is their width and height, pixels.
+
     Raises:
         ArithmeticError: the views determine nothing.
     """

@@ -113,9 +113,8 @@ def scale_subject(
     stated: dict[str, Any] = {"wrists": wrists} | ({} if mass is None else {"mass": mass})
     if static is None:
         if landmarks or up:
-            raise InputError(
-                "--landmarks, --up", "found without --static, whose trial they describe"
-            )
+            problem = "found without --static, whose trial they describe"
+            raise InputError("--landmarks, --up", problem)
         if height is None:
             problem = "found no source, expected --height, --static or --recording"
             raise InputError("the person", problem)

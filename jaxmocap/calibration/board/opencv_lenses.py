@@ -141,6 +141,8 @@ def fit_lens(
 ) -> LensFit:
     """Calibrate from V views of a flat board: points (N, 3), metres, and pixels (N, 2) of each.
 
+    The pictures' ``size`` is their width and height, pixels.
+
     Raises:
         ArithmeticError: OpenCV finds nothing, or nothing finite.
     """

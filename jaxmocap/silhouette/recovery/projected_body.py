@@ -30,11 +30,11 @@ NODE_STRIDE = 8
 CELL_MARGIN = 1
 # Of the canvas that limbs are searched on: cells, and extent by that of the segmentation's.
 SIZE, EXTENT = 96, 1.5
-# Log-ratio of what surely is, or is not, background beyond the segmentation,
+# Log-ratio of what surely is, or is not, background beyond the segmentation.
 BACKGROUND_LOG_RATIO = 2.0
-# which what differs by so many of the background's deviations,
+# What is no background differs from it by so many of its deviations,
 DIFFERENT_DEVIATIONS = 6.0
-# and by so many grey levels beyond, is not.
+# and by so many grey levels beyond.
 DIFFERENT_LEVELS = 30.0
 
 

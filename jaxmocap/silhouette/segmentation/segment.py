@@ -184,8 +184,8 @@ def segment(
         force = ratio + (downsampled(prior) if stage.coarse else prior)
         width = stage.width
         if plan.background:
-            wider = jnp.asarray(pixels.images.certainty)
-            width = width + (stage.background_width - width) * wider
+            certainty = jnp.asarray(pixels.images.certainty)
+            width = width + (stage.background_width - width) * certainty
         moved = evolve(here, force, settings.motion, width, stage.steps)
         phi = jnp.clip(upsampled(moved), -BAND, BAND) if stage.coarse else moved
     kept = Histograms(
