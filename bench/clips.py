@@ -24,7 +24,8 @@ from jaxmocap.synthetic.movements.exerciser import Exerciser
 from jaxmocap.synthetic.movements.exercises import exercise
 from jaxmocap.synthetic.movements.motions import MOTIONS, Performance
 from jaxmocap.synthetic.movements.splines import KeyStance
-from jaxmocap.synthetic.people.rigged_mesh import load_rig, unit
+from jaxmocap.synthetic.people.figure import unit
+from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 from jaxmocap.synthetic.recording import write_performance, write_table_tennis, write_video
 

@@ -22,7 +22,8 @@ from bench.figures import Metric, aligned, write_json
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, ModelResult, model_from
 from jaxmocap.silhouette.modelling.arm_surface import INNER_RINGS, SLICES
 from jaxmocap.silhouette.modelling.readings import READINGS
-from jaxmocap.synthetic.people.rigged_mesh import Rig, RiggedMesh, load_rig, unit
+from jaxmocap.synthetic.people.figure import unit
+from jaxmocap.synthetic.people.rigged_mesh import Rig, RiggedMesh, load_rig
 from jaxmocap.synthetic.photographs import person_in_stance, write_photographs
 
 TRUNK = ("Hip", "Spine", "LowerBack", "Neck", "Head", "UpLeg", "Shoulder")

@@ -14,11 +14,7 @@ import numpy as np
 from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.board.finding import MIN_VIEWS, BoardDetections, find_boards
 from jaxmocap.calibration.board.opencv_lenses import LensKind
-from jaxmocap.calibration.board.result_pictures import (
-    draw_detections,
-    draw_intrinsics,
-    picture_folder,
-)
+from jaxmocap.calibration.board.result_pictures import draw_views, picture_folder
 from jaxmocap.calibration.intrinsics import (
     ImageCoverage,
     IntrinsicsEstimate,
@@ -103,7 +99,7 @@ def calibrate_camera(
         result = _checked_estimate(detections, kind)
     except InputError:
         if folder is not None:
-            folder.write(partial(draw_detections, detections))
+            folder.write(partial(draw_views, detections, None))
         raise
     coverage = image_coverage(
         [v for v, use in zip(detections.views, result.used, strict=True) if use], detections.size
@@ -113,7 +109,7 @@ def calibrate_camera(
         *intrinsics_warnings(result, coverage),
         *_change_warnings(result, before, "rotation" in section),
     ]
-    drawn = [] if folder is None else folder.write(partial(draw_intrinsics, detections, result))
+    drawn = [] if folder is None else folder.write(partial(draw_views, detections, result))
     write_camera(out, camera, result.lens.entries())
     return IntrinsicsResult(camera, detections, result, coverage, tuple(warnings), (out, *drawn))
 

@@ -56,9 +56,9 @@ class Placement:
     used: np.ndarray
     std_m: np.ndarray
     std_deg: float
-    mirrored: np.ndarray | None = None
-    mirrored_ratio: float = np.inf
-    warnings: tuple[str, ...] = ()
+    mirrored: np.ndarray | None
+    mirrored_ratio: float
+    warnings: tuple[str, ...]
 
     @property
     def rms(self) -> float:
@@ -125,11 +125,10 @@ def estimate_placement(
         )
     warnings += _implausibility_warnings(best.matrix, upside_down)
     residuals_xy = project_points(points_world, best.rvec, best.tvec, lens)[0] - pixels_xy
-    result = Placement(best.matrix, residuals_xy, used, std_m, std_deg, warnings=tuple(warnings))
-    if mirrored is None:
-        return result
-    ratio = mirrored.rms / max(best.rms, 1e-9)
-    return replace(result, mirrored=mirrored.matrix, mirrored_ratio=ratio)
+    other = None if mirrored is None else mirrored.matrix
+    ratio = np.inf if mirrored is None else mirrored.rms / max(best.rms, 1e-9)
+    measured = best.matrix, residuals_xy, used, std_m, std_deg
+    return Placement(*measured, other, ratio, tuple(warnings))
 
 
 def _chosen_pose(poses: list[CameraPose], upside_down: bool) -> tuple[CameraPose, list[str]]:

@@ -30,13 +30,7 @@ _MAX_ROUNDS = 10
 
 @dataclass(frozen=True)
 class BoardView:
-    """A board's corners in one picture.
-
-    Attributes:
-        name: of the picture.
-        points_board: (N, 3) metres.
-        pixels_xy: (N, 2) where they are detected.
-    """
+    """A board's corners in one picture: (N, 3) metres, detected at pixels (N, 2)."""
 
     name: str
     points_board: np.ndarray
@@ -84,12 +78,9 @@ class IntrinsicsEstimate:
 def estimate_intrinsics(
     views: Sequence[BoardView], size: tuple[int, int], kind: LensKind | None = None
 ) -> IntrinsicsEstimate:
-    """Calibrate a camera from views of a board, without those whose corners are wrong.
+    """Calibrate a camera by three views of a board or more, without those whose corners are wrong.
 
-    Args:
-        views: at least three.
-        size: width and height of the pictures, pixels.
-        kind: of the lens; defaults to an ordinary one with k1 k2 p1 p2.
+    The pictures' ``size`` is their width and height, pixels.
 
     Raises:
         ArithmeticError: the views determine nothing.

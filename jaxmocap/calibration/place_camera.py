@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.calibration.board.boards import Board, parse_board
+from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.board.corners import Corners, find_corners
 from jaxmocap.calibration.board.finding import hint_of_other_counts
 from jaxmocap.calibration.board.pictures import Picture
@@ -52,27 +52,6 @@ class PlacementTarget:
     origin_xy: tuple[float, float] | None = None
     points: str | Path | None = None
     up: str = "z"
-
-
-def parse_target(
-    counts: tuple[int, int] | None,
-    square: float | None,
-    charuco: tuple[str, float] | None,
-    pose: tuple[float, ...] | None,
-    origin_xy: tuple[float, float] | None,
-    points: str | Path | None,
-    up: str = "z",
-) -> PlacementTarget:
-    """What the command line holds, checked: either a board with its pose, or points.
-
-    Raises:
-        InputError: a pose without the board that it is of.
-    """
-    if points is not None:
-        return PlacementTarget(points=points, up=up)
-    if counts is None or square is None:
-        raise InputError("--pose", "is of a board, expected --board and --square too")
-    return PlacementTarget(parse_board(counts, square, charuco), pose, origin_xy, up=up)
 
 
 @dataclass(frozen=True)
@@ -173,14 +152,10 @@ def _photo_size_warnings(path: Path, photo: np.ndarray, lens: Intrinsics) -> lis
 def _target_points(
     path: Path, photo: np.ndarray, target: PlacementTarget
 ) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray | None]:
-    """The points that place the camera, found or read.
+    """Names, world places (N, 3), metres, and pixels (N, 2) of points, found or read.
 
-    Returns:
-        Names of the N points, (N, 3) metres in the world, their pixels (N, 2), and T_world_board
-        (4, 4); None with listed points.
-
-    Raises:
-        InputError: no board, or one whose origin is ambiguous.
+    And T_world_board (4, 4); None with listed points. InputError where there is no board, or one
+    whose origin is ambiguous.
     """
     R_world_file = R_WORLD_OF_UP[target.up]
     if target.points is not None:

@@ -64,24 +64,21 @@ def camera_by_person(
     confidences: np.ndarray,
     skeleton: Skeleton,
 ) -> StandingCamera | None:
-    """The height and pitch that suit somebody who mostly stands upright.
+    """The height and pitch that suit somebody who mostly stands upright, by P named landmarks.
 
-    Args:
-        camera: its lens; where it is does not matter.
-        names: of P landmarks.
-        pixels_xy: (F, P, 2).
-        confidences: (F, P), 0 where missing.
-        skeleton: of the person.
-
-    Returns:
-        None where hardly any frame has hips, shoulders and ankles.
+    Pixels are (F, P, 2), confidences (F, P), 0 where missing. None where hardly any frame has hips,
+    shoulders and ankles.
     """
     slopes = _slopes(camera, names, pixels_xy, confidences)
     whole = np.flatnonzero(np.isfinite(slopes).all(1))
     if len(whole) < FEWEST_FRAMES:
         return None
     slopes = slopes[whole[np.linspace(0, len(whole) - 1, min(len(whole), MOST_FRAMES)).astype(int)]]
-    heights = _upright_heights(skeleton)
+    # Of somebody at ease, above the floor.
+    points = np.asarray(landmarks(skeleton, relaxed_pose(skeleton)))
+    pairs = [landmark_rows((f"{pair}_l", f"{pair}_r")) for pair in PAIRS]
+    heights = np.array([points[pair, 2].mean() for pair in pairs])
+    heights += ANKLE_M - heights[0]
     reach = (heights[-1] - heights[0]) / np.maximum(slopes[:, 0] - slopes[:, -1], 1e-2)
     start = np.concatenate([[USUAL_HEIGHT_M, USUAL_PITCH], np.clip(reach, 1.0, FARTHEST_M - 1)])
 
@@ -121,10 +118,3 @@ def _slopes(
         rays = np.asarray(pixel_rays(unturned, level), float)
         columns.append(rays[:, 1] / rays[:, 2])
     return np.stack(columns, 1)
-
-
-def _upright_heights(skeleton: Skeleton) -> np.ndarray:
-    """(K,) heights of the pairs of somebody at ease, metres above the floor."""
-    points = np.asarray(landmarks(skeleton, relaxed_pose(skeleton)))
-    each = [points[landmark_rows((f"{pair}_l", f"{pair}_r")), 2].mean() for pair in PAIRS]
-    return np.array(each) - each[0] + ANKLE_M

@@ -99,54 +99,40 @@ def scale_subject(
     mass: float | None = None,
     wrists: bool = False,
 ) -> ScaledBody:
-    """Write a person's body by height (metres) and mass (kilograms), or by a static trial.
-
-    ``scale_by_static`` says what the others are; one of height and static trial is given.
-    """
-    if static is not None:
-        if height is not None:
-            raise InputError(static, "found --height beside --static, expected one of them")
-        return scale_by_static(out, static, landmarks or {}, up or "z", mass, wrists)
-    if landmarks or up:
-        raise InputError("--landmarks, --up", "found without --static, whose trial they describe")
-    if height is None:
-        problem = "found no source, expected --height, --static or --recording"
-        raise InputError("the person", problem)
-    table = {"height": height, "wrists": wrists} | ({} if mass is None else {"mass": mass})
-    skeleton = read_subject(Path("the person"), "", table)
-    write_subject(out, skeleton, height)
-    return ScaledBody(skeleton, height, {}, Path(out))
-
-
-def scale_by_static(
-    out: str | Path,
-    static: str | Path,
-    landmarks: Mapping[str, str],
-    up: str = "z",
-    mass: float | None = None,
-    wrists: bool = False,
-) -> ScaledBody:
-    """Write the body of a person who stands in a static trial.
+    """Write a person's body by height (metres), or as they stand in a static trial, and by mass.
 
     Args:
         out: subject.toml.
+        height: metres; one of height and static trial is given.
         static: file of markers.
         landmarks: landmark -> marker; empty takes markers that are called as landmarks are.
-        up: the file's vertical axis.
+        up: the file's vertical axis, z by default.
         mass: kilograms.
         wrists: whether the body has them.
     """
-    static = Path(static)
-    marker_of = dict(landmarks) or {n: n for n in read_markers(static).names if n in LANDMARKS}
-    if not marker_of:
-        raise InputError(static, "has no marker called as a landmark is, name them (--landmarks)")
-    table: dict[str, Any] = {"static": static.name, "up": up, "landmarks": marker_of}
-    fields = TomlTable(static, "", table)
-    skeleton = read_subject(
-        static, "", table | {"wrists": wrists} | ({} if mass is None else {"mass": mass})
-    )
-    measured = length_deviations(static_landmarks(fields))
-    height = skeleton_stature(skeleton)
+    stated: dict[str, Any] = {"wrists": wrists} | ({} if mass is None else {"mass": mass})
+    if static is None:
+        if landmarks or up:
+            problem = "found without --static, whose trial they describe"
+            raise InputError("--landmarks, --up", problem)
+        if height is None:
+            problem = "found no source, expected --height, --static or --recording"
+            raise InputError("the person", problem)
+        skeleton = read_subject(Path("the person"), "", stated | {"height": height})
+        measured = {}
+    else:
+        if height is not None:
+            raise InputError(static, "found --height beside --static, expected one of them")
+        static = Path(static)
+        marker_of = dict(landmarks or {})
+        marker_of = marker_of or {n: n for n in read_markers(static).names if n in LANDMARKS}
+        if not marker_of:
+            problem = "has no marker called as a landmark is, name them (--landmarks)"
+            raise InputError(static, problem)
+        table = {"static": static.name, "up": up or "z", "landmarks": marker_of}
+        skeleton = read_subject(static, "", table | stated)
+        measured = length_deviations(static_landmarks(TomlTable(static, "", table)))
+        height = skeleton_stature(skeleton)
     write_subject(out, skeleton, height)
     return ScaledBody(skeleton, height, measured, Path(out))
 

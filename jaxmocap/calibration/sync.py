@@ -123,11 +123,7 @@ class StretchLag:
 
 
 def estimate_video_offsets(recording: Recording, search: float = 1.0) -> list[VideoOffset]:
-    """Find every video's offset.
-
-    Args:
-        recording: with at least one video.
-        search: seconds about the stated offsets to look in.
+    """Find every video's offset, within ``search`` seconds of the stated one.
 
     Raises:
         InputError: no video, or no marker that is present for long enough.

@@ -26,13 +26,10 @@ landmark_points = Program(landmarks, "landmarks", effort="quick")
 
 
 def pose_at_landmarks(skeleton: Skeleton, points_world: np.ndarray) -> Pose:
-    """The pose nearest to landmarks.
+    """The pose nearest to landmarks (L, 3) of ``LANDMARKS``, metres, NaN where unknown.
 
-    Args:
-        skeleton: of the person.
-        points_world: (L, 3) metres, in the order of ``LANDMARKS``; NaN where unknown. Both hips
-            or both shoulders must be given, they determine where the person faces. Those that the
-            skeleton's joints do not move are ignored.
+    Both hips or both shoulders must be there, they determine where the person faces. Those that the
+    skeleton's joints do not move are ignored.
 
     Raises:
         ValueError: neither is.

@@ -10,7 +10,7 @@ The stature gives the distance, the floor and the camera's place do so once more
 INPUTS: a Skeleton, lines of sight to its landmarks, frame by frame. OUTPUTS: KeypointPoses.
 """
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -82,11 +82,9 @@ class KeypointPoseSettings:
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """The terms of a frame."""
-        return (
-            self.keypoints, self.posture, self.range, self.pelvis, self.limits, self.floor,
-            self.balance,
-        )  # fmt: skip
+        """The terms of a frame, in the order of the fields."""
+        each = (getattr(self, field.name) for field in fields(self))
+        return tuple(term for term in each if isinstance(term, Term))
 
 
 class KeypointPoses(NamedTuple):
@@ -108,14 +106,7 @@ class KeypointPoses(NamedTuple):
 def poses_of_lines(
     skeleton: Skeleton, times: np.ndarray, lines: SightLines, settings: KeypointPoseSettings
 ) -> KeypointPoses:
-    """The poses (T, ...) that suit all frames' lines of sight.
-
-    Args:
-        skeleton: of the person, with D joints.
-        times: (T,) seconds.
-        lines: (T, ...) of C cameras.
-        settings: of the terms.
-    """
+    """The poses (T, ...) at times (T,), seconds, that suit all frames' lines of sight (T, ...)."""
     model = Model(skeleton, Sites.none(skeleton.lengths.dtype))
     lines = jax.tree.map(lambda part: np.asarray(part, skeleton.lengths.dtype), lines)
     measured = measurements(lines)
@@ -151,12 +142,10 @@ def poses_of_lines(
 
 
 def weighed_by_scatter(points: np.ndarray, lines: SightLines, deviation: float) -> SightLines:
-    """Lines whose confidences are smaller where a camera's landmark scatters by more.
+    """Lines (T, ...) whose confidences are smaller where a camera's landmark scatters by more.
 
-    Args:
-        points: (T, L, 3) the landmarks where all lines together have them, metres.
-        lines: (T, ...) of C cameras.
-        deviation: of a point of full confidence, metres at the person; no scatter counts as less.
+    ``points`` (T, L, 3) are where all lines together have the landmarks, metres. ``deviation`` is
+    of a point of full confidence, metres at the person; no scatter counts as less.
     """
     confidences, ways = np.asarray(lines.confidences), np.asarray(lines.directions)
     off = points[:, None] - np.asarray(lines.origin)[:, :, None]

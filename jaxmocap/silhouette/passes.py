@@ -29,6 +29,9 @@ from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 # Level sets are kept as whole numbers of so many to a cell.
 PHI_STEPS = 8
+# What background models learn from: an image (H, W, 3) BGR uint8, a level set (S, S), where that
+# lies, and pixels (N, 2) of points all over the body.
+CameraFrame = tuple[np.ndarray, np.ndarray, Region, np.ndarray]
 
 
 class FrameBundle(NamedTuple):
@@ -104,22 +107,6 @@ class PassResult:
             self.body.shape.skeleton, constants.rest_deviations, constants.finder.morph,
         )  # fmt: skip
         return smoothed_poses(skeleton, np.array(self.times), information, rest, how, morph)
-
-
-class CameraFrame(NamedTuple):
-    """One camera's frame, and where the person was found in it; arguments of both learners.
-
-    Attributes:
-        image: (H, W, 3) BGR uint8.
-        phi: (S, S) cells, positive within the person.
-        region: where those lie.
-        pixels_xy: (N, 2) of points all over the body.
-    """
-
-    image: np.ndarray
-    phi: np.ndarray
-    region: Region
-    pixels_xy: np.ndarray
 
 
 class PassLearner:
@@ -199,15 +186,9 @@ def run_pass(
     earlier: Sequence[PoseEstimate] | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> PassResult:
-    """All frames from a state; the first is tracked until its pose rests.
+    """All frames from a state, in order of time; the first is tracked until its pose rests.
 
-    Args:
-        tracker: of the person.
-        state: before the first frame.
-        frames: in order of time.
-        learner: of what the next pass begins with.
-        earlier: what an earlier pass found, frame by frame.
-        progress: called with the frames done.
+    ``earlier`` is what an earlier pass found, frame by frame; ``progress`` gets the frames done.
     """
     result = PassResult(state.body)
     online = {c: OnlineBackground() for c, each in enumerate(state.backgrounds) if each is None}
@@ -243,4 +224,4 @@ def _camera_frames(
     for camera, image in enumerate(images):
         if image is not None and report.used[camera]:
             here = Region(*(part[camera] for part in region))
-            yield camera, CameraFrame(image, phi[camera], here, pixels[camera])
+            yield camera, (image, phi[camera], here, pixels[camera])

@@ -73,9 +73,7 @@ class PoseSettings(NamedTuple):
 class Prior(NamedTuple):
     """What is expected beforehand of the 6 + D degrees of freedom.
 
-    Attributes:
-        pose: expected.
-        deviations: (6 + D,) metres and radians; infinite where nothing is expected.
+    Deviations (6 + D,) are metres and radians; infinite where nothing is expected.
     """
 
     pose: Pose

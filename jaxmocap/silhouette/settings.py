@@ -43,10 +43,7 @@ FAR_OFF = (Cycle(0.08, 0, True), Cycle(0.08, 0, True))
 def progressive(cycles: tuple[Cycle, ...], levels: int, available: int) -> tuple[Cycle, ...]:
     """Cycles of which the first match the surface's finest low-passes, coarse to fine.
 
-    Args:
-        cycles: that match whatever they do.
-        levels: so many low-passes, one a cycle; where there are too few, the first is repeated.
-        available: low-passes that there are.
+    So many ``levels``, one a cycle; where there are too few cycles, the first is repeated.
 
     Raises:
         ValueError: more levels than there are.

@@ -126,16 +126,9 @@ def smoothed_poses(
 ) -> tuple[Pose, np.ndarray]:
     """The poses (T, ...) of a whole recording, and standard deviations (T, L, 3) of landmarks.
 
-    Args:
-        skeleton: of the person.
-        times: (T,) seconds.
-        information: frame by frame.
-        rest: (D,) deviations of joints that are held about 0, radians; infinite for the others.
-        settings: how smoothly.
-        morph: what goes along with the joints' angles: such joints are held about where they go.
-
-    Returns:
-        The deviations are of the world's coordinates, metres; NaN of a recording of two frames.
+    ``rest`` (D,) are deviations of joints that are held about 0, or about where a morph takes them,
+    radians; infinite for the others. Those returned are of the world's coordinates, metres; NaN of
+    a recording of two frames.
     """
     if len(times) <= REACH:
         return information.poses, np.full((len(times), len(LANDMARKS), 3), np.nan)

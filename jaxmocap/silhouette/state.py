@@ -130,12 +130,7 @@ class State(NamedTuple):
 
 
 class PoseEstimate(NamedTuple):
-    """A frame's pose and velocity, as a pass over the frames left them.
-
-    Attributes:
-        pose: as estimated.
-        velocity: (6 + D,) metres and radians per second.
-    """
+    """A frame's pose, and velocity (6 + D,), metres and radians per second, as a pass left them."""
 
     pose: Pose
     velocity: np.ndarray

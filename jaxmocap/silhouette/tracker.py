@@ -23,18 +23,19 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.cameras import Camera, stack_cameras
 from jaxmocap.images.background_model import Background
-from jaxmocap.silhouette.device_functions import predicted_pose, velocity_between
 from jaxmocap.silhouette.fit.cycles import (
     FrameEvidence,
     fit_pose,
@@ -68,6 +69,20 @@ from jaxmocap.silhouette.surfaces.rim import RimFinder
 
 # Shortest time between two frames that a velocity is taken over, seconds.
 SHORTEST_STEP_S = 1e-3
+
+
+@program("full")
+def predicted_pose(skeleton: Skeleton, pose: Pose, velocity: Array, ahead: Array) -> Pose:
+    """A pose (..., ) moved on by a velocity (6 + D,) for so many seconds, within the limits."""
+    moved = retract(pose, velocity * ahead)
+    low, high = skeleton.limits[:, 0], skeleton.limits[:, 1]
+    return moved._replace(angles=jnp.clip(moved.angles, low, high))
+
+
+@program("full")
+def _velocity_between(before: Pose, now: Pose, between: Array) -> Array:
+    """(6 + D,) metres and radians per second from one pose to another, seconds later."""
+    return difference(now, before) / between
 
 
 class SilhouetteTracker:
@@ -177,7 +192,9 @@ class SilhouetteTracker:
         predicted = predicted_pose(skeleton, state.pose, velocity, np.float32(elapsed))
         deviations = np.where(state.determined, s.predicted_deviation, s.undetermined_deviation)
         if expected is not None:
-            predicted, deviations = expected, self._about_expected(deviations.shape)
+            predicted, deviations = expected, np.full(deviations.shape, s.expected_deviation)
+            if len(constants.cameras.size) == 1:
+                deviations[:3] = s.expected_place
         deviations, measured = deviations.astype(np.float32), measured or {}
         beside, is_first = term_evidence(body.model, measured, s), state.time is None
         frame = FrameEvidence(images, state.backgrounds, state.histograms, beside, is_first)
@@ -199,14 +216,6 @@ class SilhouetteTracker:
             remembered(recent, RecentFrame(report, pose, measured)),
         )  # fmt: skip
         return after, pose, report
-
-    def _about_expected(self, shape: tuple[int, ...]) -> np.ndarray:
-        """Deviations (6 + D,) about where key points have the person."""
-        s = self.constants.settings
-        deviations = np.full(shape, s.expected_deviation)
-        if len(self.constants.cameras.size) == 1:
-            deviations[:3] = s.expected_place
-        return deviations
 
     def _reported(
         self, body: TrackedBody, recovered: RecoveredPose, measured: Measurements
@@ -242,7 +251,7 @@ class SilhouetteTracker:
         """The velocity (6 + D,) as it is carried on; relocated joints begin again."""
         velocity = state.velocity
         if state.time is not None:
-            now = np.asarray(velocity_between(state.pose, pose, np.float32(elapsed)))
+            now = np.asarray(_velocity_between(state.pose, pose, np.float32(elapsed)))
             gain = self.constants.settings.velocity_gain
             velocity = (gain * now + (1 - gain) * state.velocity).astype(np.float32)
         velocity = velocity * determined

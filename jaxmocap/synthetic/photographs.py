@@ -63,7 +63,7 @@ def person_in_stance(rig: Rig, photograph: str) -> Exerciser:
     arm, _ = PHOTOGRAPHS[photograph]
     stance = KeyStance(back=(0.0, 0.0, 0.0), arm_l=arm, arm_r=arm, leg_l=_LEG, leg_r=_LEG)
     times = np.linspace(-1.0, 1.0, 5)
-    return Exerciser(rig, Spline.through(times, np.tile(stance.channels(), (5, 1))))
+    return Exerciser(rig, Spline(times, np.tile(stance.channels(), (5, 1))))
 
 
 def camera_of(rig: Rig, photograph: str) -> Camera:
@@ -81,13 +81,9 @@ def _camera(height: float, azimuth: float) -> Camera:
 
 
 def photograph(rig: Rig, name: str, seed: int = 0, background: np.ndarray | None = None):
-    """One photograph (H, W, 3), BGR uint8, of a person.
+    """One photograph (H, W, 3), BGR uint8, of a person: front, side, joint or arm_side.
 
-    Args:
-        rig: the person.
-        name: front, side, joint or arm_side.
-        seed: of the backdrop and the sensor's noise.
-        background: (H, W, 3) uint8 in the backdrop's place.
+    ``background`` (H, W, 3) uint8 takes the backdrop's place.
     """
     rng = np.random.default_rng([seed, list(PHOTOGRAPHS).index(name)])
     background = backdrop(rng) if background is None else background
@@ -112,16 +108,7 @@ def backdrop(rng: np.random.Generator) -> np.ndarray:
 
 
 def write_photographs(directory: str | Path, rig: Rig, seed: int = 0) -> Path:
-    """Write a person's four photographs and their calibration.
-
-    Args:
-        directory: is made where missing.
-        rig: the person.
-        seed: of backdrop and noise.
-
-    Returns:
-        The path of ``calibration.toml``.
-    """
+    """Write a person's four photographs and their calibration; the path of ``calibration.toml``."""
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     for name in PHOTOGRAPHS:

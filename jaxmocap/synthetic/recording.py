@@ -165,16 +165,9 @@ def marker_places() -> dict[str, dict[str, Any]]:
 def write_parts(
     directory: Path, parts: RecordingParts, frames: Iterable[np.ndarray], seed: int
 ) -> Path:
-    """Write every file of a recording.
+    """Write every file of a recording; the path of its ``recording.toml``.
 
-    Args:
-        directory: is made where missing.
-        parts: what they hold.
-        frames: (H, W, 3) BGR uint8, at ``video_times``.
-        seed: of the markers' noise.
-
-    Returns:
-        The path of ``recording.toml``.
+    Frames (H, W, 3), BGR uint8, are at ``video_times``; the seed is of the markers' noise.
     """
     directory.mkdir(parents=True, exist_ok=True)
     noise = marker_noise(parts.times, len(parts.markers), np.random.default_rng([seed, 4]))

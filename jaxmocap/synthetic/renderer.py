@@ -94,12 +94,9 @@ class Scene:
 def render_frames(
     scene: Scene, times: np.ndarray, progress: Progress | None = None
 ) -> Iterator[np.ndarray]:
-    """Frames (H, W, 3), BGR uint8, one for each time.
+    """Frames (H, W, 3), BGR uint8, at the middles of exposures (F,), seconds.
 
-    Args:
-        scene: to be rendered.
-        times: (F,) the middles of the exposures, seconds.
-        progress: called with the frames done and their total.
+    ``progress`` is called with the frames done and their total.
     """
     camera = DrawingCamera.of(scene.camera)
     sensor = Sensor.create(camera.size, np.random.default_rng([scene.seed, 3]))
@@ -269,9 +266,7 @@ def camera_at(azimuth: float) -> Camera:
 class RotatedMover:
     """A mover rotated about the world's vertical, before a camera that stays in place.
 
-    Attributes:
-        mover: who moves.
-        azimuth: of the camera about the mover, degrees.
+    ``azimuth`` is the camera's about the mover, degrees.
     """
 
     mover: Mover

@@ -4,6 +4,7 @@ import json
 import tomllib
 
 import cv2
+import drawn_boards
 import numpy as np
 import pytest
 from drawn_boards import BOARD, CHARUCO, LENS, SIZE, draw
@@ -38,13 +39,7 @@ T_CAM_WORLD = looking((0.22, -0.1, 0.0), (0.9, -0.5, 0.8))
 
 
 def pixels_of(points_world, T_cam_world=T_CAM_WORLD, noise: float = 0.0) -> np.ndarray:
-    """Pixels (N, 2) of points (N, 3) in the world."""
-    rvec, _ = cv2.Rodrigues(T_cam_world[:3, :3])
-    pixels, _ = cv2.projectPoints(
-        np.asarray(points_world, float), rvec, T_cam_world[:3, 3], LENS.matrix, LENS.distortions
-    )
-    pixels = pixels.reshape(-1, 2)
-    return pixels + np.random.default_rng(0).normal(0, noise, pixels.shape)
+    return drawn_boards.pixels_of(points_world, T_cam_world, noise)
 
 
 def corners_world(pose=POSE, board: Board = BOARD) -> np.ndarray:
@@ -135,8 +130,6 @@ def test_what_was_measured_with_y_up_is_turned_to_z_up(folder):
     # The same board given in a system of y up: world = (z, x, y) of the file.
     from_world = np.eye(3)[[1, 2, 0]]
     T = board_to_world(POSE)
-    from scipy.spatial.transform import Rotation
-
     angles = Rotation.from_matrix(from_world @ T[:3, :3]).as_euler("xyz", degrees=True)
     pose = numbers([*(from_world @ T[:3, 3]), *angles])
     assert run(folder, *CHESS, "--pose", pose, "--up", "y") == 0

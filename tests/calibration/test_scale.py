@@ -9,7 +9,7 @@ from conftest import complaint
 
 from jaxmocap import Recording
 from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton, with_wrists
-from jaxmocap.calibration.static_trial import scale_by_static
+from jaxmocap.calibration.static_trial import scale_subject
 from jaxmocap.cli.program import main
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.recordings.subject import read_subject, write_subject
@@ -121,7 +121,7 @@ def test_a_real_static_trial_becomes_a_file(recordings, tmp_path):
     table = tomllib.loads((recordings / "balancing" / "recording_cam_01.toml").read_text())
     subject = table["subject"]
     static = recordings / "balancing" / subject["static"]
-    scaled = scale_by_static(tmp_path / "a.toml", static, subject["landmarks"], subject["up"])
+    scaled = scale_subject(tmp_path / "a.toml", None, static, subject["landmarks"], subject["up"])
     there = read_subject(recordings / "balancing" / "a.toml", "", subject)
     back = read_back(tmp_path / "a.toml")
     for name in NUMBERS:

@@ -111,30 +111,26 @@ def still(times: np.ndarray) -> np.ndarray:
     return np.tile([0.0, 0.35, 1.2, 0.0, -0.35, 1.2], (len(times), 1))
 
 
-def test_hands_at_rest_are_asked_to_move():
-    (actual,) = estimate_video_offsets(recorded(still, 0.1), search=0.2)
+def circling(times: np.ndarray) -> np.ndarray:
+    turn = 2 * np.pi * times / 0.6
+    y, z = 0.15 * np.cos(turn), 0.15 * np.sin(turn)
+    return still(times) + np.stack([0 * y, y, z, 0 * y, y, z], -1)
+
+
+@pytest.mark.parametrize(
+    ("hands", "film", "search", "says"),
+    [
+        (still, None, 0.2, "not identifiable: move the hands faster"),
+        (waving(5, speed=0.02), None, 0.2, "not identifiable: move the hands faster"),
+        (waving(6), waving(7), 0.3, "not identifiable"),
+        (circling, None, 1.0, "not identifiable: the motion repeats itself"),
+    ],
+    ids=["at rest", "slow", "other motion in the image", "repeated"],
+)
+def test_hands_that_tell_no_offset_are_asked_for_what_would(hands, film, search, says):
+    (actual,) = estimate_video_offsets(recorded(hands, 0.1, film=film), search)
     assert np.isnan(actual.offset) and np.isnan(actual.std)
-    assert "not identifiable: move the hands faster" in actual.reason
-
-
-def test_slow_hands_are_asked_to_move_faster():
-    (actual,) = estimate_video_offsets(recorded(waving(5, speed=0.02), 0.1), search=0.2)
-    assert np.isnan(actual.offset) and "move the hands faster" in actual.reason
-
-
-def test_an_image_of_other_motion_is_told_from_the_hands():
-    (actual,) = estimate_video_offsets(recorded(waving(6), 0.1, film=waving(7)), search=0.3)
-    assert np.isnan(actual.offset) and actual.reason.startswith("not identifiable")
-
-
-def test_motion_that_repeats_itself_has_no_offset():
-    def circling(times: np.ndarray) -> np.ndarray:
-        turn = 2 * np.pi * times / 0.6
-        y, z = 0.15 * np.cos(turn), 0.15 * np.sin(turn)
-        return still(times) + np.stack([0 * y, y, z, 0 * y, y, z], -1)
-
-    (actual,) = estimate_video_offsets(recorded(circling, 0.1))
-    assert np.isnan(actual.offset) and "the motion repeats itself" in actual.reason
+    assert actual.reason.startswith(says)
 
 
 def test_hands_out_of_the_image_are_told():

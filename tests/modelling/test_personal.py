@@ -29,8 +29,7 @@ from jaxmocap.silhouette.modelling.personal import arm_angles, personal_model
 from jaxmocap.silhouette.modelling.pictures.views import PhotographView
 from jaxmocap.silhouette.modelling.separation import FrontLandmarks
 from jaxmocap.silhouette.modelling.slices import BodySlices, fitted_grid
-from jaxmocap.silhouette.modelling.thighs import Thighs, find_thighs
-from jaxmocap.silhouette.modelling.trunk import RINGS, Trunk
+from jaxmocap.silhouette.modelling.trunk import RINGS, Thighs, Trunk, find_thighs
 from jaxmocap.synthetic.drawing_camera import look_at
 
 PLACED, FRAMES = jax.jit(landmarks), jax.jit(forward)

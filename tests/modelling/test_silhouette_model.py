@@ -147,17 +147,6 @@ def test_a_background_with_a_pattern_is_refused_with_a_picture(shots, tmp_path, 
     assert read(out / "front_refused.png").shape == image.shape
 
 
-def test_nobody_and_somebody_cut_off_are_refused(shots, tmp_path, refusal):
-    image = read(shots / "front.png")
-    empty, cut = tmp_path / "empty.png", tmp_path / "cut.png"
-    cv2.imwrite(str(empty), np.broadcast_to(image[:1], image.shape))
-    cv2.rectangle(image, (480, 300), (960, 330), (60, 60, 190), -1)
-    cv2.imwrite(str(cut), image)
-    assert "found nobody" in refusal(*asked(shots, tmp_path / "out", front=empty))
-    message = refusal(*asked(shots, tmp_path / "out", front=cut))
-    assert "cut.png: the person is cut off at the right side" in message
-
-
 def test_arms_against_the_body_are_refused(shots, tmp_path, refusal):
     image, hanging = read(shots / "front.png"), tmp_path / "hanging.png"
     # What lies between arms and trunk, painted over.

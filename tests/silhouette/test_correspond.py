@@ -13,6 +13,7 @@ from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import (
     ALONG_WEIGHT,
     Contour,
+    ContourPairs,
     matched_pairs,
     pairs_of,
 )
@@ -23,13 +24,7 @@ PAIRS, SOLVE = jax.jit(pairs_of), jax.jit(solve_pose)
 
 
 def contour_of(phi: np.ndarray, origin: np.ndarray, scale: float) -> Contour:
-    """The zero line of a level set, to a fraction of a cell.
-
-    Args:
-        phi: (S, S) cells, positive within the person.
-        origin: (2,) of the canvas' region.
-        scale: of the region, pixels to a cell.
-    """
+    """The zero line of a level set (S, S), cells, to a fraction of a cell."""
     cells, normals = traced_boundary((phi > 0).astype(np.uint8))
     x, y = cells.T
     # The traced cells are the last within; the line lies beyond them by what phi says.
@@ -107,7 +102,8 @@ def test_a_pose_is_found_from_four_silhouettes(finder, degrees):  # noqa: F811
         actual = matched_pairs(finder.find(finder.initial_shape, pose, CAMERAS), outlines)
         weights = jnp.asarray(actual.valid, jnp.float32)
         points = finder.initial_shape.points(actual.nodes)
-        rays = PAIRS(CAMERAS, points, actual.pixels_xy, actual.normals, weights, ALONG_WEIGHT)
+        pairs = (points, actual.pixels_xy, actual.normals, weights, None, ALONG_WEIGHT)
+        rays = PAIRS(CAMERAS, ContourPairs(*pairs))
         pose = SOLVE(BODY, pose, rays, PoseSettings(iterations=3, deviation=0.005), prior).pose
     wrong = np.abs(np.asarray(difference(pose, truth)))
     hinges = [

@@ -15,8 +15,8 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import posed
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.silhouette.device_functions import fit
 from jaxmocap.silhouette.first_pose import landmark_points
+from jaxmocap.silhouette.fit.cycles import fit
 from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance
 from jaxmocap.silhouette.recovery.limb_likelihood import (
     Obstacles,

@@ -37,7 +37,7 @@ from jaxmocap.silhouette.recovery.lost_limbs import (
 )
 from jaxmocap.silhouette.recovery.part_appearance import YOUNGEST, PartAppearance
 from jaxmocap.silhouette.recovery.projected_body import body_pixels
-from jaxmocap.silhouette.segmentation.canvas_coverage import covered_cells
+from jaxmocap.silhouette.segmentation.background_models import covered_cells
 from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.tracker import SilhouetteTracker

@@ -60,14 +60,7 @@ def corresponding(surface: Surface, joints: np.ndarray, like: Surface) -> Surfac
 def interpolated(
     first: BodyPoints, second: BodyPoints, t: jax.Array | float, weighting: str = "linear"
 ) -> BodyPoints:
-    """F_t of (4.26): the second surface's points at t = 0, the first's at t = 1.
-
-    Args:
-        first: of one surface.
-        second: of another in correspondence, on the same bones: see ``corresponding``.
-        t: () from 0 to 1.
-        weighting: a name of ``WEIGHTINGS``.
-    """
+    """F_t of (4.26): the second surface's points at t = 0, the first's at t = 1."""
     weight = b.WEIGHTINGS[weighting](jnp.asarray(t))
     places, shares = (
         weight * jnp.asarray(a) + (1 - weight) * jnp.asarray(b)
@@ -126,7 +119,7 @@ def test_a_solve_finds_the_pose_that_moved_the_skin_along():
     truth, start = (LOW + share * (HIGH - LOW) for share in (rng.uniform(0.3, 0.7, len(LOW)), 0.5))
     truth = start + 0.15 * np.clip(truth - start, -1, 1)
     still = jnp.zeros(6 + len(LOW))
-    measured = moved_by(BODY, MORPH, points, MOVES[ROWS], on_floor(truth), still)
+    measured = moved_by(BODY, MORPH, points, MOVES[ROWS], standing(truth), still)
     # Two cameras' rays through each point: one of them cannot tell how far it is.
     eyes = np.repeat([[4.0, 0.3, 0.2], [0.5, 4.0, 0.4]], len(ROWS), 0)
     twice = BodyPoints(*(np.tile(part, (2,) + (1,) * (part.ndim - 1)) for part in points))
@@ -134,16 +127,12 @@ def test_a_solve_finds_the_pose_that_moved_the_skin_along():
     lines = lines_through(jnp.asarray(eyes), jnp.asarray(unit(ways)))
     rays = on_rays(twice, lines)._replace(moves=np.tile(MOVES[ROWS], (2, 1, 1)))
     how = PoseSettings(deviation=0.1, iterations=40)
-    first = m.with_followers(MORPH, on_floor(start), BODY)
+    first = m.with_followers(MORPH, standing(start), BODY)
     found = jax.jit(solve_pose)(BODY, first, rays, how, morph=MORPH)
     free = m.without_followers(MORPH, found.pose)
     there = moved_by(BODY, MORPH, points, MOVES[ROWS], free, still)
     np.testing.assert_allclose(there, measured, atol=1e-3)
     assert np.abs(np.asarray(first.angles) - np.asarray(found.pose.angles)).max() > 0.05
-
-
-def on_floor(at) -> Pose:
-    return Pose(jnp.zeros(3), jnp.eye(4)[0], jnp.asarray(at, jnp.float32))
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:

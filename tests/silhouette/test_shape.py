@@ -14,7 +14,7 @@ from jaxmocap.body.proportions import LENGTHS, scaled, stretched
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import BodyPoints, resampled, rest_nodes
 from jaxmocap.geometry.cameras import stack_cameras
-from jaxmocap.silhouette.device_functions import ContourPairs
+from jaxmocap.silhouette.fit.correspond import ContourPairs
 from jaxmocap.silhouette.passes import PassLearner
 from jaxmocap.silhouette.surfaces.shape import DEVIATION_M, ShapeEstimator, shape_equations
 from jaxmocap.silhouette.surfaces.swelling import KINDS, fields_of, reshaped

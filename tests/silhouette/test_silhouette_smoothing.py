@@ -56,8 +56,13 @@ def frames_of(poses: Pose, information: np.ndarray, slope: np.ndarray) -> FrameI
     return FrameInformation(poses, information, slope, np.full(count, SPREAD), np.full(count, 4))
 
 
-def smooth(*arguments) -> Pose:
-    return smoothed_poses(*arguments)[0]
+def smooth(
+    skeleton: Skeleton, measured: FrameInformation, rest=None, morph=None, **changed
+) -> Pose:
+    """No joint is held at rest unless that is said."""
+    times, settings = TIMES[: len(measured.slope)], PoseSmoothingSettings(**changed)
+    rest = free(skeleton) if rest is None else rest
+    return smoothed_poses(skeleton, times, measured, rest, settings, morph)[0]
 
 
 def free(skeleton: Skeleton) -> np.ndarray:
@@ -70,9 +75,7 @@ def places(skeleton: Skeleton, poses: Pose) -> np.ndarray:
 
 def test_what_frames_are_sure_of_stays(skeleton):
     truth = swinging(skeleton)
-    actual = smooth(
-        skeleton, TIMES, information_of(truth, SURE), free(skeleton), PoseSmoothingSettings()
-    )
+    actual = smooth(skeleton, information_of(truth, SURE))
     np.testing.assert_allclose(places(skeleton, actual), places(skeleton, truth), atol=1e-3)
 
 
@@ -84,8 +87,7 @@ def test_frames_that_show_nothing_lie_between_the_others(skeleton):
         part[unseen] = part[14]
     sureness = np.full(FRAMES, SURE)
     sureness[unseen] = 0.0
-    wide = PoseSmoothingSettings(pose_deviation=10.0)
-    bridged = smooth(skeleton, TIMES, information_of(actual, sureness), free(skeleton), wide)
+    bridged = smooth(skeleton, information_of(actual, sureness), pose_deviation=10.0)
     before, after = (
         np.linalg.norm(places(skeleton, each) - places(skeleton, truth), axis=-1)[unseen].max()
         for each in (actual, bridged)
@@ -98,13 +100,7 @@ def test_noise_is_taken_out_and_the_motion_left(skeleton):
     rng, truth = np.random.default_rng(3), swinging(skeleton)
     noise = rng.normal(0, 0.02, (FRAMES, 6 + truth.angles.shape[1])).astype(np.float32)
     shaken = jax.tree.map(np.asarray, retract(truth, jnp.asarray(noise)))
-    calm = smooth(
-        skeleton,
-        TIMES,
-        information_of(shaken, 1 / 0.02**2),
-        free(skeleton),
-        PoseSmoothingSettings(),
-    )
+    calm = smooth(skeleton, information_of(shaken, 1 / 0.02**2))
     exact = places(skeleton, truth)
     before, after = (
         np.linalg.norm(places(skeleton, each) - exact, axis=-1).mean() for each in (shaken, calm)
@@ -127,8 +123,8 @@ def test_who_stands_still_does_so_beside_what_swings(skeleton):
     measured, exact = information_of(shaken, 1 / 0.01**2), places(skeleton, truth)
     foot, hand = (LANDMARKS.index(name) for name in ("ankle_l", "wrist_l"))
     alike, own = (
-        places(skeleton, smooth(skeleton, TIMES, measured, free(skeleton), settings))
-        for settings in (PoseSmoothingSettings(rounds=0), PoseSmoothingSettings(own_share=1.0))
+        places(skeleton, smooth(skeleton, measured, **changed))
+        for changed in ({"rounds": 0}, {"own_share": 1.0})
     )
 
     def shaking(actual: np.ndarray) -> float:
@@ -151,7 +147,7 @@ def test_slopes_lead_from_where_prediction_dragged(skeleton):
     measured = frames_of(
         lagging, np.broadcast_to(SURE * np.eye(size), (FRAMES, size, size)), SURE * behind
     )
-    actual = smooth(skeleton, TIMES, measured, free(skeleton), PoseSmoothingSettings())
+    actual = smooth(skeleton, measured)
     np.testing.assert_allclose(places(skeleton, actual), places(skeleton, truth), atol=1e-3)
 
 
@@ -194,9 +190,7 @@ def test_no_joint_leaves_its_range(skeleton):
     # Pairs that would stretch it beyond.
     slope[:, 6 + elbow] = 10 * 400.0
     measured = information_of(truth, 400.0)._replace(slope=slope)
-    actual = smooth(
-        skeleton, TIMES, measured, free(skeleton), PoseSmoothingSettings(pose_deviation=10.0)
-    )
+    actual = smooth(skeleton, measured, pose_deviation=10.0)
     low, high = np.asarray(skeleton.limits, float).T
     assert (actual.angles >= low - 1e-6).all()
     assert (actual.angles <= high + 1e-6).all()
@@ -207,13 +201,7 @@ def test_joints_held_at_rest_are_drawn_there_where_pairs_say_nothing(skeleton):
     truth, rest = swinging(skeleton), free(skeleton)
     elbow = skeleton.tree.joints.index("elbow_flex_l")
     rest[elbow] = 1e-3
-    actual = smooth(
-        skeleton,
-        TIMES,
-        information_of(truth, UNSURE),
-        rest,
-        PoseSmoothingSettings(pose_deviation=10.0),
-    )
+    actual = smooth(skeleton, information_of(truth, UNSURE), rest, pose_deviation=10.0)
     low = float(skeleton.limits[elbow, 0])
     assert np.abs(actual.angles[:, elbow] - max(low, 0.0)).max() < 0.02
 
@@ -234,10 +222,7 @@ def test_joints_that_go_along_are_held_where_they_go(skeleton):
     assert (went > 0.1).any()
     sureness = 1e4
     actual, without = (
-        smooth(
-            skeleton, TIMES, information_of(truth, sureness), rest, PoseSmoothingSettings(), goes
-        )
-        for goes in (morph, None)
+        smooth(skeleton, information_of(truth, sureness), rest, goes) for goes in (morph, None)
     )
     off, drawn = (
         np.abs(each.angles - truth.angles)[:, followers].max() for each in (actual, without)
@@ -248,7 +233,5 @@ def test_joints_that_go_along_are_held_where_they_go(skeleton):
 
 def test_two_frames_have_no_acceleration_and_stay(skeleton):
     two = jax.tree.map(lambda part: part[:2], swinging(skeleton))
-    actual = smooth(
-        skeleton, TIMES[:2], information_of(two, SURE), free(skeleton), PoseSmoothingSettings()
-    )
+    actual = smooth(skeleton, information_of(two, SURE))
     np.testing.assert_array_equal(actual.angles, two.angles)

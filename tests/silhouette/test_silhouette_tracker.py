@@ -15,9 +15,9 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.canvases import full_mask, silhouette_distance
 from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
-from jaxmocap.silhouette.device_functions import fit
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
 from jaxmocap.silhouette.fit import cycles
+from jaxmocap.silhouette.fit.cycles import fit
 from jaxmocap.silhouette.segmentation.background_models import BackgroundLearner, OnlineBackground
 from jaxmocap.silhouette.segmentation.segment import SegmentationPlan, Stage
 from jaxmocap.silhouette.settings import FAR_OFF, Settings, progressive
@@ -164,37 +164,39 @@ def test_a_person_stands_on_the_floor_where_it_was_said():
     assert left[0] < 0 and abs(left[1]) < 1e-4
 
 
+# Of a small image: cells of two pixels, an empty room, and a level set without anybody.
+REGION = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
+ROOM, NOBODY = np.full((60, 80, 3), 120, np.uint8), np.full((40, 40), -8.0, np.float32)
+
+
 def test_a_room_is_learned_where_the_person_was_not():
-    learner, room = BackgroundLearner(8), np.full((60, 80, 3), 120, np.uint8)
-    region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
+    learner = BackgroundLearner(8)
     for i in range(8):
-        image, phi = room.copy(), np.full((40, 40), -8.0, np.float32)
+        image, phi = ROOM.copy(), NOBODY.copy()
         left = 4 + 6 * i
         image[20:40, left : left + 8] = 10
         phi[10:20, left // 2 : left // 2 + 4] = 8.0
-        learner.add_frame(image, phi, region)
+        learner.add_frame(image, phi, REGION)
     learned = learner.background()
-    assert learned is not None and learned.colour.shape == room.shape
+    assert learned is not None and learned.colour.shape == ROOM.shape
     assert np.abs(learned.colour[learned.certainty > 0.5] - 120).max() < 2
     assert (learned.certainty > 0.5).mean() > 0.9
     assert BackgroundLearner(8).background() is None
 
 
 def test_what_a_shadow_lay_on_for_most_of_the_time_is_learned_as_it_is_lit():
-    region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
-    learner, nobody = BackgroundLearner(10), np.full((40, 40), -8.0, np.float32)
+    learner = BackgroundLearner(10)
     for i in range(10):
-        image = np.full((60, 80, 3), 120, np.uint8)
+        image = ROOM.copy()
         image[40:, : 80 if i < 6 else 40] = 80
-        learner.add_frame(image, nobody, region)
+        learner.add_frame(image, NOBODY, REGION)
     learned = learner.background()
     assert learned is not None
     assert (learned.colour[:, 41:] > 115).all() and (learned.colour[41:, :39] < 85).all()
 
 
 def test_a_hand_that_stands_still_is_no_room_where_the_body_has_it_and_segmentation_has_not():
-    region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
-    image, phi = np.full((60, 80, 3), 120, np.uint8), np.full((40, 40), -8.0, np.float32)
+    image = ROOM.copy()
     image[20:30, 40:50] = 10
     rows, columns = np.mgrid[20:30:3, 40:50:3]
     hand = np.stack([columns.ravel(), rows.ravel()], 1).astype(float)
@@ -202,7 +204,7 @@ def test_a_hand_that_stands_still_is_no_room_where_the_body_has_it_and_segmentat
     for is_masked in (False, True):
         learner = BackgroundLearner(8)
         for _ in range(8):
-            learner.add_frame(image, phi, region, hand if is_masked else None)
+            learner.add_frame(image, NOBODY, REGION, hand if is_masked else None)
         learned[is_masked] = learner.background()
     assert (learned[False].certainty > 0.5).all()
     assert (
@@ -212,14 +214,13 @@ def test_a_hand_that_stands_still_is_no_room_where_the_body_has_it_and_segmentat
 
 
 def test_a_room_is_learned_from_first_frames_but_about_the_person_and_there_once_they_have_left():
-    region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
-    running, empty = OnlineBackground(), np.full((60, 80, 3), 120, np.uint8)
+    running = OnlineBackground()
     for left in (10, 10, 10, 50, 50, 50):
-        image, phi = empty.copy(), np.full((40, 40), -8.0, np.float32)
+        image = ROOM.copy()
         image[20:40, left : left + 8] = 10
         rows, columns = np.mgrid[20:40:4, left : left + 8 : 4]
         body = np.stack([columns.ravel(), rows.ravel()], 1).astype(float)
-        room = running.updated(image, phi, region, body)
+        room = running.updated(image, NOBODY, REGION, body)
         assert np.abs(room.colour[room.certainty > 0] - 120).max() < 2
         assert (
             room.certainty[20:40, 10:18].any() == (left == 50)

@@ -77,6 +77,17 @@ def charuco_shade(board: Board, across: np.ndarray, up: np.ndarray) -> np.ndarra
     return np.where(inside, BLACK + (PAPER - BLACK) * picture[y, x] / 255.0, PAPER)
 
 
+def pixels_of(
+    points: np.ndarray, T_cam_points: np.ndarray, noise: float = 0.0, seed: int = 0
+) -> np.ndarray:
+    """Pixels (N, 2) of points (N, 3), as the lens shows them, with noise in pixels."""
+    rvec, _ = cv2.Rodrigues(T_cam_points[:3, :3])
+    places, tvec = np.asarray(points, float), T_cam_points[:3, 3]
+    pixels, _ = cv2.projectPoints(places, rvec, tvec, LENS.matrix, LENS.distortions)
+    pixels = pixels.reshape(-1, 2)
+    return pixels + np.random.default_rng(seed).normal(0, noise, pixels.shape)
+
+
 def held(board: Board, tilt_x: float, tilt_y: float, turn: float, at_cam=(0.0, 0.0, 0.9)):
     """T_cam_board: the board's middle at a place before the camera, print towards it, degrees.
 

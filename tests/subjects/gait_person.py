@@ -17,12 +17,12 @@ import numpy as np
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.synthetic.drawing_camera import look_at
 from jaxmocap.synthetic.movements.splines import Spline
+from jaxmocap.synthetic.people.figure import unit
 from jaxmocap.synthetic.people.rigged_mesh import (
     RiggedMesh,
     load_rig,
     rotation_between,
     rotation_onto,
-    unit,
 )
 from jaxmocap.synthetic.recording import MARKER_RATE, RecordingParts, video_times, write_parts
 from jaxmocap.synthetic.renderer import Scene, render_frames
@@ -99,9 +99,7 @@ def mesh_person(
         )
     paths = _facing_forward(paths)
     times = np.arange(first, last) / rate - start
-    return MeshPerson(
-        load_rig(file, who, seed), Spline.through(times, paths.reshape(len(times), -1))
-    )
+    return MeshPerson(load_rig(file, who, seed), Spline(times, paths.reshape(len(times), -1)))
 
 
 def _facing_forward(paths: np.ndarray) -> np.ndarray:

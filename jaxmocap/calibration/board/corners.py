@@ -42,11 +42,9 @@ class Corners:
 
 
 def find_corners(image: np.ndarray, board: Board) -> Corners | None:
-    """The corners to a fraction of a pixel: of a chessboard all, of a ChArUco board those visible.
+    """The corners in an image (H, W, 3), BGR uint8, to a fraction of a pixel.
 
-    Args:
-        image: (H, W, 3) BGR, uint8.
-        board: to look for.
+    Of a chessboard all, of a ChArUco board those visible.
     """
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     if board.dictionary is not None:

@@ -94,13 +94,9 @@ def _four(lens: Intrinsics) -> np.ndarray:
 def pose_candidates(
     points: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, method: int
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Rodrigues vectors and translations, refined, of a camera that sees points at pixels.
+    """Rodrigues vectors and translations of a camera that sees points (N, 3) at pixels (N, 2).
 
-    Args:
-        points: (N, 3) metres.
-        pixels_xy: (N, 2).
-        lens: of the camera.
-        method: OpenCV's, such as SOLVEPNP_IPPE.
+    They are refined; ``method`` is OpenCV's, such as SOLVEPNP_IPPE.
 
     Raises:
         cv2.error: OpenCV finds none.
@@ -143,13 +139,9 @@ def fit_lens(
     size: tuple[int, int],
     kind: LensKind,
 ) -> LensFit:
-    """Calibrate from V views of a flat board.
+    """Calibrate from V views of a flat board: points (N, 3), metres, and pixels (N, 2) of each.
 
-    Args:
-        points: (N, 3) of each view, metres.
-        pixels: (N, 2) of each view.
-        size: width and height of the pictures, pixels.
-        kind: of the lens.
+    The pictures' ``size`` is their width and height, pixels.
 
     Raises:
         ArithmeticError: OpenCV finds nothing, or nothing finite.

@@ -120,10 +120,7 @@ def draw_coverage(
 ) -> AnnotatedPicture:
     """The image's area: the lighter the more boards, with every corner and its residual.
 
-    Args:
-        size: of the image, pixels.
-        views: pixels (N, 2) and residuals (N, 2) of each.
-        times: by how much residuals are drawn longer.
+    Views are pixels and residuals (N, 2) each, which are drawn so many times as long.
     """
     scale = min(1.0, _MAX_SIDE_PX / max(size))
     counts = np.zeros((round(size[1] * scale), round(size[0] * scale)), np.float32)
@@ -167,45 +164,38 @@ def picture_folder(
     return None if directory is None else OutputFolder(directory, kind, (), inputs)
 
 
-def draw_detections(detections: BoardDetections, folder: str | Path) -> list[Path]:
-    """Each picture with the corners that were found in it: all there is without a calibration."""
-    views = {view.name: view for view in detections.views}
+def draw_views(
+    detections: BoardDetections, result: IntrinsicsEstimate | None, folder: str | Path
+) -> list[Path]:
+    """Each picture with the corners that were found in it; of a calibration what came of them too.
+
+    That is residuals, the board's axes, and the coverage.
+    """
+    times = 1 if result is None else magnification(result.rms, detections.size)
+    views = {view.name: (view, None, True) for view in detections.views}
+    if result is not None:
+        both = zip(detections.views, result.poses, result.used, strict=True)
+        views = {view.name: (view, pose, use) for view, pose, use in both}
     files = []
     for number, picture in enumerate(detections.pictures, 1):
         canvas = _titled(detections, picture)
         if picture.name in views:
-            canvas.corners(views[picture.name].pixels_xy)
-        files.append(write_annotated(_file(folder, number, picture), canvas))
-    return files
-
-
-def draw_intrinsics(
-    detections: BoardDetections, result: IntrinsicsEstimate, folder: str | Path
-) -> list[Path]:
-    """Each picture with corners, residuals and the board's axes; and the coverage."""
-    times = magnification(result.rms, detections.size)
-    results = {
-        view.name: (view, pose, use)
-        for view, pose, use in zip(detections.views, result.poses, result.used, strict=True)
-    }
-    files = []
-    for number, picture in enumerate(detections.pictures, 1):
-        canvas = _titled(detections, picture)
-        if picture.name in results:
-            view, pose, use = results[picture.name]
-            longer = times if use else 1
+            view, pose, use = views[picture.name]
             canvas.corners(view.pixels_xy)
             if not use:
                 canvas.title("LEFT OUT: does not fit the other views")
-            canvas.title(LEGEND.format(longer))
-            if pose is not None:
+            if result is not None:
+                canvas.title(LEGEND.format(times if use else 1))
+            if result is not None and pose is not None:
                 canvas.title(f"{pose.rms:.2f} px RMS, tilt {tilt_degrees(pose):.0f} degrees")
-                canvas.residuals(view.pixels_xy, pose.residuals_xy, longer)
+                canvas.residuals(view.pixels_xy, pose.residuals_xy, times if use else 1)
                 length = _BOARD_AXES_SQUARES * detections.board.square
                 canvas.axes(pose.matrix, result.lens, length, "origin")
         files.append(write_annotated(_file(folder, number, picture), canvas))
+    if result is None:
+        return files
     used = [
-        (view.pixels_xy, pose.residuals_xy) for view, pose, use in results.values() if use and pose
+        (view.pixels_xy, pose.residuals_xy) for view, pose, use in views.values() if use and pose
     ]
     coverage = draw_coverage(detections.size, used, times)
     return [*files, write_annotated(Path(folder) / "coverage.jpg", coverage)]
@@ -237,13 +227,7 @@ def draw_placement(
 ) -> list[Path]:
     """The photograph with what placed the camera, and the axes of the board and of the world.
 
-    Args:
-        picture: the photograph.
-        lens: of the camera.
-        placement: of the camera.
-        pixels_xy: (N, 2) where points were detected.
-        board: and its T_world_board; None with listed points.
-        folder: to write to.
+    Points lie at pixels (N, 2); ``board`` comes with its T_world_board, None with listed points.
     """
     photo = picture.image()
     times = magnification(placement.rms, (photo.shape[1], photo.shape[0]))

@@ -8,10 +8,9 @@ that Hessian, of the prior as well, is what remains uncertain of the lengths.
 
 What a silhouette gets wrong it gets wrong in every frame: a recording, however long, weighs as much
 as a few of its frames. What is unusual lasts, and counts once for as long: again in every frame it
-would
-shorten limbs until their joints are at ease. Girths are free as well, since clothes would pass for
-lengths. Where a forearm begins is not taken from its own picture: the end of a sleeve moves that by
-more than people differ.
+would shorten limbs until their joints are at ease. Girths are free as well, since clothes would
+pass for lengths. Where a forearm begins is not taken from its own picture: the end of a sleeve
+moves that by more than people differ.
 
 INPUTS: a recording's problem, a trajectory that solves it for the lengths stated.
 OUTPUTS: logarithms of factors on lengths and girths, their covariances before and after.

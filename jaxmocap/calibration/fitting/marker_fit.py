@@ -1,8 +1,8 @@
 """A person's body and where markers sit on it, by the markers themselves.
 
-Lengths and offsets are shared by all
-samples and vary as they do among people: Gauss-Newton's equations have an arrow's shape, the poses
-are eliminated, and the shared unknowns remain (a Schur complement).
+Lengths and offsets are shared by all samples and vary as they do among people: Gauss-Newton's
+equations have an arrow's shape, the poses are eliminated, and the shared unknowns remain (a Schur
+complement).
 
 INPUTS: a Model, positions of its markers in some samples. OUTPUTS: the fitted model, and how
 sure landmarks are.
@@ -83,12 +83,9 @@ def unchanged(model: Model) -> MarkedPerson:
 
 
 def fit_person(model: Model, start: Pose, targets: Array) -> PersonFit:
-    """Lengths, offsets and the poses of K samples, together.
+    """Lengths, offsets and the poses (K, ...) of K samples, from where markers usually sit.
 
-    Args:
-        model: of the person as stated, and M markers where they usually sit.
-        start: (K, ...) poses.
-        targets: (K, M, 3) markers, world, metres; NaN where missing.
+    ``targets`` (K, M, 3) are markers, world, metres; NaN where missing.
     """
     first = unchanged(model), start
     (person, poses), cost = descend(
@@ -104,16 +101,10 @@ def fit_person(model: Model, start: Pose, targets: Array) -> PersonFit:
 
 
 def landmark_variances(model: Model, covariance: Array, poses: Pose, targets: Array) -> Array:
-    """How sure landmarks (K, L, 3) are, square metres of world coordinates.
+    """How sure landmarks (K, L, 3) are, square metres of world coordinates; see ``fit_person``.
 
-    By the markers about their points, the posture, and what all samples share: lengths and places
-    that are a little wrong draw the pose along.
-
-    Args:
-        model: of the person and M markers as fitted.
-        covariance: (S, S) of lengths and shifts.
-        poses: (K, ...) by the markers.
-        targets: (K, M, 3) markers, world, metres; NaN where missing.
+    By the markers about their points, the posture, and what all samples share, whose covariance is
+    (S, S): lengths and places that are a little wrong draw the pose along.
     """
     return jax.vmap(partial(_landmark_variances, model, covariance))(poses, targets)
 
@@ -163,11 +154,9 @@ def _cost_of_all(model: Model, targets: Array, place: tuple[MarkedPerson, Pose])
 def _shared_equations(
     model: Model, targets: Array, person: MarkedPerson, poses: Pose, damping: Array
 ) -> tuple[Array, Array, Array]:
-    """Equations of what is shared, the poses eliminated.
+    """Equations of what is shared, left (S, S) and right (S,), the poses eliminated.
 
-    Returns:
-        Left (S, S) and right (S,); how poses follow what is shared, and their own step, (K, N,
-        S + 1).
+    And (K, N, S + 1) how poses follow what is shared, and their own step.
     """
     there = fitted_model(model, person)
 

@@ -69,11 +69,8 @@ class LinearMarkers(NamedTuple):
 def fit_poses(model: Model, start: Pose, targets: Array, tails: Array | float) -> PosesFit:
     """The poses (K, ...) near a start that cost least.
 
-    Args:
-        model: of the person and M markers.
-        start: (K, ...).
-        targets: (K, M, 3) markers, world, metres; NaN where missing.
-        tails: ``TAILS``, or more of them far from the solution.
+    ``targets`` (K, M, 3) are markers, world, metres; NaN where missing. ``tails`` are ``TAILS``, or
+    more of them far from the solution.
     """
 
     def one(pose: Pose, own: Array) -> PosesFit:
@@ -93,10 +90,7 @@ FIT_POSES = Program(fit_poses, "fit_poses")
 def descend(cost_of: Callable, step_from: Callable, start: Any) -> tuple[Any, Array]:
     """Levenberg and Marquardt's descent: where it ends, and the cost there.
 
-    Args:
-        cost_of: of a place.
-        step_from: a place and a damping, to the next place.
-        start: the first place.
+    ``step_from`` leads from a place and a damping to the next place.
     """
 
     def unfinished(carry: tuple) -> Array:

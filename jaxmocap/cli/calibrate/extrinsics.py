@@ -43,22 +43,19 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.calibration.board.boards import parse_board
     from jaxmocap.calibration.calibration_report import extrinsics_figures, extrinsics_text
-    from jaxmocap.calibration.place_camera import parse_target, place_camera
+    from jaxmocap.calibration.place_camera import PlacementTarget, place_camera
+    from jaxmocap.formats.files.errors import InputError
 
-    measurement = parse_target(
-        options.board,
-        options.square,
-        options.charuco,
-        options.pose,
-        options.origin,
-        options.points,
-        options.up,
-    )
+    board = None
+    if options.points is None:
+        if options.board is None or options.square is None:
+            raise InputError("--pose", "is of a board, expected --board and --square too")
+        board = parse_board(options.board, options.square, options.charuco)
+    target = PlacementTarget(board, options.pose, options.origin, options.points, options.up)
     files = options.out, options.intrinsics, options.pictures
-    calibrated = place_camera(
-        options.image, measurement, options.camera, *files, options.upside_down
-    )
+    calibrated = place_camera(options.image, target, options.camera, *files, options.upside_down)
     report(options, extrinsics_text(calibrated), extrinsics_figures(calibrated))
 
 

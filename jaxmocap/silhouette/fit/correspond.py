@@ -36,12 +36,7 @@ ALONG_WEIGHT = 0.1
 
 
 class Contour(NamedTuple):
-    """K pixels of one camera's contour.
-
-    Attributes:
-        pixels_xy: (K, 2) in the whole image.
-        normals: (K, 2) unit vectors out of the person.
-    """
+    """Pixels (K, 2) of a camera's contour in the whole image, and unit normals (K, 2) out of it."""
 
     pixels_xy: np.ndarray
     normals: np.ndarray
@@ -63,6 +58,26 @@ class Matches(NamedTuple):
     normals: np.ndarray
     distances: np.ndarray
     valid: np.ndarray
+
+
+class ContourPairs(NamedTuple):
+    """Pairs of a cycle, C cameras with N each: see ``Matches``.
+
+    Attributes:
+        points: C * N of the body.
+        pixels_xy: (C, N, 2).
+        normals: (C, N, 2).
+        weights: (C, N), 0 for no pair.
+        moves: (C * N, 3, S) of the points by drivers, see ``morph``; None without any.
+        along_weight: of all pairs along the contour, by that across.
+    """
+
+    points: BodyPoints
+    pixels_xy: Array | np.ndarray
+    normals: Array | np.ndarray
+    weights: Array | np.ndarray
+    moves: Array | np.ndarray | None = None
+    along_weight: Array | float = 0.0
 
 
 def matched_pairs(rim: Rim, contours: Sequence[Contour]) -> Matches:
@@ -122,27 +137,11 @@ def _filled(part: np.ndarray, width: int) -> np.ndarray:
     return padded
 
 
-def pairs_of(
-    cameras: Camera,
-    points: BodyPoints,
-    pixels_xy: Array,
-    normals: Array,
-    weights: Array,
-    along_weight: Array | float,
-    moves: Array | np.ndarray | None = None,
-) -> PointRays:
-    """Pairs (C * N) for ``solve_pose``.
-
-    Args:
-        cameras: C, stacked.
-        points: C * N, of the ``Matches``' nodes.
-        pixels_xy: (C, N, 2) of the contours.
-        normals: (C, N, 2) there.
-        weights: (C, N), 0 for no pair.
-        along_weight: of all pairs along the contour.
-        moves: (C * N, 3, S) of the points, where anything drives them.
-    """
+def pairs_of(cameras: Camera, pairs: ContourPairs) -> PointRays:
+    """Pairs (C * N) of C cameras (stacked) for ``solve_pose``."""
+    pixels_xy, normals, weights = (jnp.asarray(part) for part in pairs[1:4])
     lines, across = jax.vmap(contour_rays)(cameras, pixels_xy, normals)
     flat = Lines(*(part.reshape(-1, 3) for part in lines))
-    firm = jnp.broadcast_to(jnp.asarray(along_weight, weights.dtype), weights.size)
-    return PointRays(points, flat, across.reshape(-1, 3), weights.ravel(), firm, moves)
+    firm = jnp.broadcast_to(jnp.asarray(pairs.along_weight, weights.dtype), weights.size)
+    across = across.reshape(-1, 3)
+    return PointRays(pairs.points, flat, across, weights.ravel(), firm, pairs.moves)

@@ -20,14 +20,22 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.compilation.programs import Program, program
 from jaxmocap.evidence.keypoints import KeyPoints
 from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.terms import Measurements
+from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background_model import Background
-from jaxmocap.silhouette.device_functions import ContourPairs, fit, free_pose
 from jaxmocap.silhouette.first_pose import landmark_points
-from jaxmocap.silhouette.fit.correspond import ALONG_WEIGHT, Contour, Matches, matched_pairs
-from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, TermEvidence
+from jaxmocap.silhouette.fit.correspond import (
+    ALONG_WEIGHT,
+    Contour,
+    ContourPairs,
+    Matches,
+    matched_pairs,
+    pairs_of,
+)
+from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, TermEvidence, solve_pose
 from jaxmocap.silhouette.segmentation.inner_edges import (
     EDGE_WEIGHT,
     concatenated,
@@ -37,6 +45,7 @@ from jaxmocap.silhouette.segmentation.outlines import Outlines, find_outlines
 from jaxmocap.silhouette.segmentation.segment import Histograms
 from jaxmocap.silhouette.settings import Cycle, Settings
 from jaxmocap.silhouette.state import TrackedBody, TrackerConstants
+from jaxmocap.silhouette.surfaces.morph import Morph, without_followers
 from jaxmocap.silhouette.surfaces.rim import Rim
 from jaxmocap.silhouette.surfaces.shape import NodePairs
 
@@ -46,15 +55,29 @@ POSE_M = 0.001
 # Contours have settled where their points lie no farther across those of the round before, on
 # average, pixels.
 CONTOUR_PX = 0.1
+_free_pose = Program(without_followers, "free_pose", effort="full")
+
+
+@program("full")
+def fit(
+    skeleton: Skeleton,
+    cameras: Camera,
+    pose: Pose,
+    pairs: ContourPairs,
+    settings: PoseSettings,
+    prior: Prior,
+    beside: TermEvidence | None = None,
+    morph: Morph | None = None,
+) -> PoseResult:
+    """The pose that brings the rims' points to the contours' rays; see ``solve_pose``."""
+    rays = pairs_of(cameras, pairs)
+    return solve_pose(skeleton, pose, rays, settings, prior, beside=beside, morph=morph)
 
 
 def matched_shares(rim: Rim, pairs: Matches, points: Sequence[int]) -> np.ndarray:
     """(C,) the smaller of the shares of rim points and of contour points that found a partner.
 
-    Args:
-        rim: of C cameras.
-        pairs: of rim and contours.
-        points: of each camera's contour.
+    ``points`` are as many as each camera's contour has.
     """
     outline = rim.valid & ~rim.inner
     shares = []
@@ -70,11 +93,8 @@ def matched_shares(rim: Rim, pairs: Matches, points: Sequence[int]) -> np.ndarra
 def disagreeing(distances: np.ndarray, real: np.ndarray, apart: float, near: float) -> np.ndarray:
     """(C,) bool: cameras whose pairs lie much farther apart than all cameras' together.
 
-    Args:
-        distances: (C, N) of pairs, metres.
-        real: (C, N) bool: those that are pairs.
-        apart: how many times as far is much farther.
-        near: unless they are within this, metres.
+    By distances (C, N), metres, of those that are pairs: ``apart`` times as far, unless they are
+    within ``near``, metres.
     """
     if real.any(1).sum() < 2:
         return np.zeros(len(real), bool)
@@ -92,12 +112,9 @@ def kept_histograms(used: np.ndarray, new: Histograms, old: Histograms) -> Histo
 
 
 def combined_prior(expected: Pose, deviations: np.ndarray, rest: np.ndarray) -> Prior:
-    """The prior of a pose before its images.
+    """The prior of a pose that the motion expects to deviations (6 + D,), metres and radians.
 
-    Args:
-        expected: by the motion.
-        deviations: (6 + D,) about it, metres and radians.
-        rest: (D,) about 0, radians; infinite for joints that are not held there.
+    ``rest`` (D,) are those about 0, radians; infinite for joints that are not held there.
     """
     moving, still = deviations[ROOT_DOF:] ** -2.0, rest**-2.0
     both = moving + still
@@ -149,17 +166,12 @@ def fit_pose(
     predicted: Pose,
     deviations: np.ndarray,
 ) -> FittedPose:
-    """The pose that brings the body's rims to the contours.
+    """The pose that brings the body's rims to the contours, from the one predicted.
 
-    Args:
-        constants: of the tracker.
-        body: who is tracked.
-        frame: its images.
-        predicted: to start from, and the mean of the prior.
-        deviations: (6 + D,) of the prior, metres and radians.
+    ``deviations`` (6 + D,) are the prior's about that, metres and radians.
     """
     s, morph = constants.settings, constants.finder.morph
-    centre = predicted if morph is None else free_pose(morph, predicted)
+    centre = predicted if morph is None else _free_pose(morph, predicted)
     prior = combined_prior(centre, deviations, constants.rest_deviations)
     first, *rest = (*(s.starting_cycles if frame.is_first else ()), *s.cycles)
     fitted = _fitted(constants, body, frame, prior, first, predicted)
@@ -287,11 +299,8 @@ def information_without(
 def term_evidence(model: Model, measured: Measurements, settings: Settings) -> TermEvidence | None:
     """What the settings' terms have to say; None where markers or key points would, without any.
 
-    Args:
-        model: of the person and the markers.
-        measured: of a frame: ``markers`` (M, 3) where there are any, world, metres, NaN where one
-            is missing; ``sight_lines`` to key points.
-        settings: with the terms.
+    ``measured`` of a frame are ``markers`` (M, 3) where there are any, world, metres, NaN where one
+    is missing, and ``sight_lines`` to key points.
     """
     count = len(model.markers.bone_indices)
     idle = (() if count else (MarkerPositions,)) + (

@@ -55,11 +55,7 @@ def arm_axis(
 ) -> np.ndarray:
     """(K, 2) the way from a place in the trunk to the farthest end beyond an arm pit's column.
 
-    Args:
-        axis: of the whole silhouette.
-        start_xy: where to begin, in the trunk's middle.
-        pit_xy: of the arm, which lies farther from the start than this, and above ``lowest``.
-        lowest: row that arms do not hang below.
+    The arm lies farther from the start than its pit, and above the row ``lowest``.
     """
     side = np.sign(pit_xy[0] - start_xy[0])
     beyond = side * (axis.pixels_xy[:, 0] - pit_xy[0]) > 0
@@ -76,13 +72,7 @@ def arm_axis(
 def arm_joints(
     axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray, reading: Reading
 ) -> ArmPixels:
-    """Joints of one arm.
-
-    Args:
-        axis: (K, 2) of ``arm_axis``.
-        distance: (H, W) pixels to the rim.
-        shoulder: (2,) its pixel.
-        reading: where joints lie on an axis.
+    """Joints of one arm by its axis (K, 2), distances (H, W) to the rim and shoulder (2,), pixels.
 
     Raises:
         ValueError: the arm is not bent, or no wrist is slimmer than the palm.
@@ -151,8 +141,6 @@ def turning_angles(points: np.ndarray, reach: float) -> np.ndarray:
 
 # Deviation of the blur over the middles of an arm's rows.
 SMOOTH_ROWS = 3.0
-# The world's unit vector that the person faces.
-AHEAD = np.array([1.0, 0.0, 0.0])
 
 
 def lifted_arms(
@@ -180,7 +168,7 @@ def _lifted(front: PhotographView, pit: np.ndarray, side: int, bones: ArmBones) 
     if not middles:
         raise ValueError("found no arm beside the trunk, expected arms lifted off the trunk")
     way = gaussian_filter1d(np.array(middles), SMOOTH_ROWS, axis=0, mode="nearest")
-    places = front.plane_points(way, bones.shoulder, AHEAD)
+    places = front.plane_points(way, bones.shoulder)
     ends, after = [bones.shoulder], 0
     for length in bones.lengths:
         far = np.linalg.norm(places[after:] - ends[-1], axis=1)

@@ -24,11 +24,9 @@ from jaxmocap.silhouette.modelling.pictures.medial_axis import medial_axis, rim_
 from jaxmocap.silhouette.modelling.pictures.views import PhotographView
 from jaxmocap.silhouette.modelling.readings import OWN, Reading
 from jaxmocap.silhouette.modelling.separation import FrontLandmarks, find_landmarks, narrowest_neck
-from jaxmocap.silhouette.modelling.thighs import Thighs, find_thighs
-from jaxmocap.silhouette.modelling.trunk import Trunk, find_trunk
+from jaxmocap.silhouette.modelling.trunk import Thighs, Trunk, find_thighs, find_trunk
 
-# Unit vectors of the world in which the person faces +x.
-AHEAD = np.array([1.0, 0.0, 0.0])
+# Unit vector of the world in which the person faces +x.
 UP = np.array([0.0, 0.0, 1.0])
 # Side -> the sign of its y.
 SIDES = (("l", 1.0), ("r", -1.0))
@@ -120,10 +118,8 @@ def person_model(
 ) -> PersonModel:
     """A model from the views ``front``, ``side``, ``joint`` and ``arm_side``.
 
-    Args:
-        views: the four of them.
-        bottom: row of the trunk's bottom line in the front view; found where the legs part.
-        reading: how joints and slices are made of silhouettes.
+    ``bottom`` is the row of the trunk's bottom line in the front view; without it, where the legs
+    part.
 
     Raises:
         ValueError: what a view shows is not the stance that is asked for.
@@ -178,7 +174,7 @@ def bent_arms(
     )
     ends = [np.array([arm.elbow, arm.wrist, arm.tip]) for arm in result]
     bent = tuple(
-        ArmBones(shoulder, *joint.plane_points(pixels, shoulder, AHEAD))
+        ArmBones(shoulder, *joint.plane_points(pixels, shoulder))
         for pixels, shoulder in zip(ends, shoulders, strict=True)
     )
     return result, bent
@@ -190,7 +186,7 @@ def stretched_arms(
     """Left and right arm in their side view: the bones as long as in the joint view."""
     tall, result = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY, []
     for way, bones in zip(arm_axes(arm_side, body), bent, strict=True):
-        arm = arm_on_axis(arm_side.plane_points(way, bones.shoulder, AHEAD), bones)
+        arm = arm_on_axis(arm_side.plane_points(way, bones.shoulder), bones)
         result.append(arm._replace(elbow=arm.elbow + tall * reading.elbow_above * UP))
     return tuple(result)
 
@@ -211,7 +207,7 @@ def aligned_view(
     top = int(column[0])
     _, neck_x = narrowest_neck(view.mask, top, int(there[1]), float(there[0]))
     before, now = (
-        each.plane_points(np.array([x, row]), middle, AHEAD)
+        each.plane_points(np.array([x, row]), middle)
         for each, x, row in ((front, landmarks.neck_x, landmarks.top), (view, neck_x, top))
     )
     return replace(view, shift=now - before)

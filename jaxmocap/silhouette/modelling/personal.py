@@ -66,10 +66,8 @@ class PersonalModel(NamedTuple):
 def personal_model(model: PersonModel, height: float | None = None) -> PersonalModel:
     """Skeleton, surface and poses of a person.
 
-    Args:
-        model: of four photographs.
-        height: of the body, metres, which gives the legs' length; by default as those of
-            people with such a trunk and head.
+    The height, metres, gives the legs' length; by default as those of people with such a trunk and
+    head.
 
     Raises:
         ValueError: a height that does not suit the trunk and head in the photographs.
@@ -194,10 +192,7 @@ def photograph_poses(
 def arm_angles(bones: ArmBones, sign: float, straight: bool) -> dict[str, float]:
     """Joint -> angle, radians, of an arm, the trunk upright and facing +x.
 
-    Args:
-        bones: where they are.
-        sign: 1 left, -1 right.
-        straight: the elbow is, and its inner side looks ahead; else the bones say.
+    ``sign`` is 1 left, -1 right. A ``straight`` elbow's inner side looks ahead; else the bones say.
     """
     shoulder, elbow, wrist, _ = bones
     upper = wrist - shoulder if straight else elbow - shoulder

@@ -44,11 +44,9 @@ class FrontLandmarks(NamedTuple):
 
 
 def find_landmarks(mask: np.ndarray, bottom: int | None = None) -> FrontLandmarks:
-    """Landmarks of a silhouette (H, W) bool.
+    """Landmarks of a silhouette (H, W) bool, from the front.
 
-    Args:
-        mask: of the person, from the front.
-        bottom: row of the trunk's bottom line; where not given it is found: where the legs part.
+    ``bottom`` is the row of the trunk's bottom line; without it, where the legs part.
 
     Raises:
         ValueError: no gap between an arm and the trunk, or none between the legs.
@@ -57,7 +55,7 @@ def find_landmarks(mask: np.ndarray, bottom: int | None = None) -> FrontLandmark
     bottom = crotch(mask) if bottom is None else bottom
     first, last = trunk_run(mask, bottom)
     middle = (first + last) / 2
-    pits = arm_pits(mask, bottom, middle)
+    pits = arm_pits(mask, top, bottom, middle)
     neck, neck_x = narrowest_neck(mask, top, int(pits[:, 1].min()), middle)
     return FrontLandmarks(top, neck, neck_x, pits, bottom, middle)
 
@@ -99,13 +97,12 @@ def trunk_run(mask: np.ndarray, row: int, x: float | None = None) -> tuple[int, 
     return int(firsts[best]), int(lasts[best])
 
 
-def arm_pits(mask: np.ndarray, bottom: int, middle_x: float) -> np.ndarray:
+def arm_pits(mask: np.ndarray, top: int, bottom: int, middle_x: float) -> np.ndarray:
     """(2, 2) the highest places between trunk and arms, pixels: the corners of the silhouette.
 
     Going up from the bottom line the trunk's run of pixels ends at gaps on both sides; where a
     gap ends, the run leaps out over the arm.
     """
-    top = int(np.flatnonzero(mask.any(1))[0])
     runs = np.zeros((bottom + 1, 2), int)
     for row in range(bottom, top - 1, -1):
         runs[row] = trunk_run(mask, row, middle_x)

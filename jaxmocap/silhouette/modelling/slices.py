@@ -52,11 +52,8 @@ def measured_slices(
 ) -> dict[str, BodySlices]:
     """Patch -> what was measured of it.
 
-    Args:
-        model: of the person.
-        skeleton: of the person.
-        marks: landmarks in the front view, world, metres.
-        spread: (2,) of left and right thigh in the front view, radians.
+    ``marks`` are landmarks in the front view, world, metres; ``spread`` (2,) are the left and the
+    right thigh there, radians.
     """
     pelvis = (marks["hip_l"] + marks["hip_r"]) / 2
     slices = {"torso": _trunk(model, pelvis)}

@@ -1,11 +1,13 @@
-"""Trunk, neck and head from the front and the side silhouette (second paper, 2.1).
+"""Trunk, neck, head and thighs from the front and the side silhouette (second paper, 2.1).
 
 A level slice is cut by four lines: through each camera and the two edges of its silhouette. The
 body's contour touches all four; a closed curve within their quadrilateral is what two silhouettes
-determine of it (``readings``).
+determine of it (``readings``). Of thighs the front view shows where either lies across, the side
+view how far both reach ahead and back.
 
 INPUTS: two Views nearly at right angles; the landmarks of the front view.
-OUTPUTS: a grid of closed rings from the bottom line to the top of the head, world, metres.
+OUTPUTS: a grid of closed rings from the bottom line to the top of the head, world, metres; Thighs
+as far down as both show them.
 """
 
 from typing import NamedTuple
@@ -15,7 +17,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from jaxmocap.silhouette.modelling.pictures.views import PhotographView
 from jaxmocap.silhouette.modelling.readings import Reading, slice_ring
-from jaxmocap.silhouette.modelling.separation import FrontLandmarks
+from jaxmocap.silhouette.modelling.separation import FrontLandmarks, trunk_run
 
 # Rings of trunk, neck and head.
 RINGS = 72
@@ -50,10 +52,9 @@ def find_trunk(
 ) -> Trunk:
     """Everything but the arms, from the bottom line to the top of the head."""
     middle = trunk_middle(front, side, landmarks)
-    ahead = np.array([1.0, 0.0, 0.0])
-    pits = front.plane_points(landmarks.pits, middle, ahead)
+    pits = front.plane_points(landmarks.pits, middle)
     rows = np.array([[landmarks.middle_x, landmarks.bottom], [landmarks.neck_x, landmarks.top]])
-    low, high = front.plane_points(rows, middle, ahead)[:, 2]
+    low, high = front.plane_points(rows, middle)[:, 2]
     heights = np.linspace(low, high - 0.004, RINGS)
     corners, middles = [], []
     for height in heights:
@@ -93,30 +94,78 @@ def slice_corners(
 ) -> np.ndarray:
     """(4, 2) corners of a slice: front left, back left, back right, front right; metres.
 
-    Args:
-        front: the view from the front.
-        side: the view from the side.
-        middle: (3,) a point within the slice.
-        pits: (2, 3) arm pits: above them what lies farther out is arm.
+    About a point (3,) within; above the arm pits (2, 3) what lies farther out is arm.
     """
     left, ahead = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
     across = [front.extent(middle[None], s * left, FARTHEST_M)[0] for s in (1, -1)]
     deep = [side.extent(middle[None], s * ahead, FARTHEST_M)[0] for s in (1, -1)]
     if middle[2] > pits[:, 2].min():
         across = [min(a, abs(pit[1] - middle[1])) for a, pit in zip(across, pits, strict=True)]
-    lines_front = [
-        _line(front, middle + s * a * left) for s, a in zip((1, -1), across, strict=True)
-    ]
-    lines_side = [_line(side, middle + s * d * ahead) for s, d in zip((1, -1), deep, strict=True)]
+    edges_front = [middle + s * a * left for s, a in zip((1, -1), across, strict=True)]
+    edges_side = [middle + s * d * ahead for s, d in zip((1, -1), deep, strict=True)]
+
+    def crossing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Seen from above: where the front's line through one edge meets the side's."""
+        first, second = (a - front.centre)[:2], (b - side.centre)[:2]
+        return a[:2] + np.linalg.solve(np.stack([first, -second], 1), (b - a)[:2])[0] * first
+
     order = ((0, 0), (0, 1), (1, 1), (1, 0))
-    return np.stack([_crossing(lines_front[f], lines_side[s]) for f, s in order])
+    return np.stack([crossing(edges_front[f], edges_side[s]) for f, s in order])
 
 
-def _line(view: PhotographView, edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Seen from above: a point, and the direction from the camera through it."""
-    return edge[:2], (edge - view.centre)[:2]
+# Slices from the crotch to the image's lower edge.
+THIGH_SLICES = 12
+# Pixels that they keep away from both.
+THIGH_MARGIN_PX = 4
+# A thigh reaches no farther ahead or back from the trunk's middle, metres.
+FARTHEST_THIGH_M = 0.3
+# Fewer rows of thigh are ignored, pixels.
+LEAST_THIGH_PX = 40
 
 
-def _crossing(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    share = np.linalg.solve(np.stack([a[1], -b[1]], 1), b[0] - a[0])[0]
-    return a[0] + share * a[1]
+class Thighs(NamedTuple):
+    """Slices from the crotch downwards, world, metres; none where no thigh is visible.
+
+    Attributes:
+        heights: (S,) of the slices.
+        across: (S, 2, 2) y of the left and the right thigh's right and left edge.
+        deep: (S, 2) x of the back and the front of both.
+    """
+
+    heights: np.ndarray
+    across: np.ndarray
+    deep: np.ndarray
+
+
+def find_thighs(
+    front: PhotographView, side: PhotographView, landmarks: FrontLandmarks, middle: np.ndarray
+) -> Thighs:
+    """What two views show below the trunk; ``middle`` (3,) lies in it."""
+    first, last = landmarks.bottom + 2 * THIGH_MARGIN_PX, len(front.mask) - 1 - THIGH_MARGIN_PX
+    ahead, slices = np.array([1.0, 0.0, 0.0]), []
+    rows = (
+        np.linspace(first, last, THIGH_SLICES).astype(int) if last - first > LEAST_THIGH_PX else ()
+    )
+    for row in rows:
+        columns = np.flatnonzero(front.mask[row])
+        inner = (
+            columns[columns > landmarks.middle_x][:1],
+            columns[columns < landmarks.middle_x][-1:],
+        )
+        if not (inner[0].size and inner[1].size):
+            continue
+        # The person's left is on the right of the image; hands may hang beside the thighs.
+        runs = [trunk_run(front.mask, row, float(x[0])) for x in inner]
+        if runs[0] == runs[1]:
+            continue
+        ends = np.array([[x, row] for run in runs for x in (run[0] - 0.5, run[1] + 0.5)])
+        edges = front.plane_points(ends, middle)
+        across, height = np.sort(edges[:, 1].reshape(2, 2), 1), edges[:, 2].mean()
+        at = np.array([[middle[0], y, height] for y in across.mean(1)])
+        # One thigh hides the other: each reaches as far as the nearer edge at most.
+        back, front_ = (side.extent(at, sign * ahead, FARTHEST_THIGH_M).min() for sign in (-1, 1))
+        if min(back, front_) > 0:
+            slices.append((height, across, middle[0] + np.array([-back, front_])))
+    if not slices:
+        return Thighs(np.zeros(0), np.zeros((0, 2, 2)), np.zeros((0, 2)))
+    return Thighs(*(np.array(part) for part in zip(*slices, strict=True)))

@@ -81,11 +81,7 @@ class EvidenceFinder:
     ) -> LimbEvidence:
         """What is left for a limb: beside the rest of the body, or before it by its colour.
 
-        Args:
-            number: of the limb.
-            projected: the body over the images.
-            appearance: of the body's points.
-            depths: of ``nearest_depths``.
+        ``depths`` are of ``nearest_depths``.
         """
         rest, cells = ~self._on(number), projected.cells
         depth = np.delete(depths, number, 0).min(0)

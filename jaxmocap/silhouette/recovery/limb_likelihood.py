@@ -155,18 +155,10 @@ def explained_log_ratio(
 ) -> Array:
     """() mean log-ratio of where the limb would be visible, by its size if all of it were.
 
-    Less what of it lies within other parts of the body.
-
-    Args:
-        skeleton: of the person.
-        cameras: C, stacked.
-        pose: of the person.
-        limb: of it.
-        evidence: what cameras show.
-        least: mean log-ratio, no less than which it counts. ``LEAST_VISIBLE`` is for the pose that
-            another must explain more than: what contradicts a limb may be a thing before it, or be
-            the limb itself, learned as background. Else it were better off wherever nothing of it
-            is visible.
+    Less what of it lies within other parts of the body. The mean counts as no less than ``least``:
+    ``LEAST_VISIBLE`` is for the pose that another must explain more than. What contradicts a limb
+    may be a thing before it, or be the limb itself, learned as background; else it were better off
+    wherever nothing of it is visible.
     """
     near, far = bone_ends(skeleton, pose, limb)
     gained, _, full = _summed(skeleton, cameras, (near, far), limb, evidence)

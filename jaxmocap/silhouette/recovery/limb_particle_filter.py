@@ -70,17 +70,9 @@ def search_limb(
     particles: Array,
     key: Array,
 ) -> LimbSearchResult:
-    """Search a limb's angles.
+    """Search a limb's angles, from particles (P, K) of the frame before.
 
-    Args:
-        skeleton: of the person.
-        cameras: C, stacked.
-        pose: as estimated, one hypothesis.
-        limb: that may be elsewhere.
-        evidence: what is to be explained.
-        particles: (P, K) angles of the frame before; the pose's own where the limb was in its
-            place.
-        key: of the pseudo-random numbers: the same gives the same.
+    Those are the pose's own where the limb was in its place. The same key gives the same.
     """
     here, limits = pose.angles[limb.joints], skeleton.limits[limb.joints]
 
@@ -105,17 +97,19 @@ def _layers(
 ) -> tuple[Array, Array, Array, Array]:
     """Particles (P, K) after all layers; angles (N, K), gains and scores (N,) of every layer's.
 
-    Args:
-        particles: (P, K) to begin with.
-        key: of the pseudo-random numbers.
-        limits: (K, 2) of their angles.
-        weigh: the gains and the scores (P,) of angles (P, K).
+    ``limits`` (K, 2) are of their angles; ``weigh`` gives gains and scores (P,) of angles (P, K).
     """
+    low, high = limits.T
 
     def layer(carry: tuple[Array, Array], numbers: tuple) -> tuple[tuple[Array, Array], tuple]:
         old, uniform_share = carry
         key, spread, inverse_temperature = numbers
-        drawing, angles = _spread(limits, old, key, uniform_share, spread)
+        fresh, moving, choosing, drawing = jax.random.split(key, 4)
+        # About the old ones, a share of them anywhere.
+        moved = old + spread * jax.random.normal(moving, old.shape, old.dtype)
+        anywhere = low + (high - low) * jax.random.uniform(fresh, old.shape, old.dtype)
+        is_fresh = jax.random.uniform(choosing, (len(old), 1), old.dtype) < uniform_share
+        angles = jnp.clip(jnp.where(is_fresh, anywhere, moved), low, high)
         gains, scores = weigh(angles)
         weights = jax.nn.softmax(inverse_temperature * scores)
         kept = angles[systematic_resampling(drawing, weights)]
@@ -129,18 +123,6 @@ def _layers(
     (left, _), layers = jax.lax.scan(layer, carry, (keys, spreads, temperatures))
     angles, gains, scores = (jnp.concatenate(part) for part in layers)
     return left, angles, gains, scores
-
-
-def _spread(
-    limits: Array, old: Array, key: Array, uniform_share: Array, spread: Array
-) -> tuple[Array, Array]:
-    """A key for what follows; particles (P, K) about the old ones, a share of them anywhere."""
-    low, high = limits.T
-    fresh, moving, choosing, drawing = jax.random.split(key, 4)
-    moved = old + spread * jax.random.normal(moving, old.shape, old.dtype)
-    anywhere = low + (high - low) * jax.random.uniform(fresh, old.shape, old.dtype)
-    is_fresh = jax.random.uniform(choosing, (len(old), 1), old.dtype) < uniform_share
-    return drawing, jnp.clip(jnp.where(is_fresh, anywhere, moved), low, high)
 
 
 def distinct_particles(angles: Array, scores: Array) -> Array:

@@ -16,13 +16,7 @@ from jaxmocap.body.surfaces.surface import BodyPoints, Surface
 
 
 class LimbChain(NamedTuple):
-    """A limb of B bones and K joints.
-
-    Attributes:
-        bones: (B,) indices.
-        joints: (K,) indices.
-        radii: (B,) metres.
-    """
+    """A limb of B bones and K joints, by their indices, and the bones' radii (B,), metres."""
 
     bones: np.ndarray
     joints: np.ndarray
@@ -94,11 +88,7 @@ def bins_along(
 ) -> np.ndarray:
     """(N,) numbers of the places, A of each bone one after the other, that points lie nearest to.
 
-    Args:
-        skeleton: of the person.
-        limb: of B bones.
-        points: N; of those elsewhere the number is -1.
-        shares: (A,) where the places lie, of a bone's length.
+    -1 of points elsewhere. Places lie at ``shares`` (A,) of a bone's length.
     """
     carrier, places = carried_most(points)
     numbers = np.full(len(carrier), -1)

@@ -21,7 +21,6 @@ from jax import Array
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import Surface
-from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.programs import program
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.silhouette.recovery import limb_likelihood
@@ -296,10 +295,3 @@ def _distance(skeleton: Skeleton, pose: Pose, limb: LimbChain, angles: Array) ->
     poses = pose, with_angles(pose, limb, angles)
     here, there = (bone_ends(skeleton, each, limb)[1] for each in poses)
     return jnp.max(jnp.linalg.norm(here - there, axis=-1))
-
-
-def widened_deviations(deviations: np.ndarray, joints: np.ndarray, deviation: float) -> np.ndarray:
-    """Deviations (6 + D,), those of some joints (D,) no less than another."""
-    wide = deviations.copy()
-    wide[ROOT_DOF:][joints] = np.maximum(wide[ROOT_DOF:][joints], deviation)
-    return wide

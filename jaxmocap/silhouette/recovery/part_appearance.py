@@ -54,10 +54,8 @@ class PartAppearance(NamedTuple):
     ) -> tuple[np.ndarray, "PartAppearance"]:
         """Which parts (P,) look otherwise, and the memory after.
 
-        Args:
-            images: (H, W, 3) uint8 of each camera, None where it shows nothing of use.
-            pixels_xy: (C, N, 2) of points of the body.
-            parts: (P, N) bool: which points are on which part.
+        By images (H, W, 3) uint8, None where one shows nothing of use, pixels (C, N, 2) of points
+        of the body, and which of these are on which part (P, N).
         """
         now = np.stack([
             mean_chromaticities(image, at, parts)

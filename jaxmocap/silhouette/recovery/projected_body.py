@@ -6,6 +6,7 @@ INPUTS: poses, what was segmented, images. OUTPUTS: ProjectedBody records.
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import cv2
 import jax
 import numpy as np
 from jax import Array
@@ -17,9 +18,10 @@ from jaxmocap.body.surfaces.surface import BodyPoints, Surface, posed
 from jaxmocap.compilation.programs import program
 from jaxmocap.geometry.cameras import Camera, depth, project
 from jaxmocap.images.background_model import Background
+from jaxmocap.images.canvases import canvas, resampled_values
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.recovery.chromaticity import PointCells, chromaticity_canvases
-from jaxmocap.silhouette.segmentation.canvas_coverage import covered_cells, extended_log_ratio
+from jaxmocap.silhouette.segmentation.background_models import covered_cells
 from jaxmocap.silhouette.segmentation.outlines import Outlines
 
 # Of the surface's nodes one in so many is drawn,
@@ -30,6 +32,10 @@ CELL_MARGIN = 1
 SIZE, EXTENT = 96, 1.5
 # Log-ratio of what surely is, or is not, background beyond the segmentation.
 BACKGROUND_LOG_RATIO = 2.0
+# What is no background differs from it by so many of its deviations,
+DIFFERENT_DEVIATIONS = 6.0
+# and by so many grey levels beyond.
+DIFFERENT_LEVELS = 30.0
 
 
 class ProjectedBody(NamedTuple):
@@ -87,9 +93,7 @@ class BodyProjector:
             np.asarray(outlines.segmentation.log_ratio), narrow, images, backgrounds, strict=True
         )
         parts = [
-            extended_log_ratio(
-                ratio, Region(*region), image, background, SIZE, EXTENT, BACKGROUND_LOG_RATIO
-            )
+            _extended_log_ratio(ratio, Region(*region), image, background)
             for ratio, region, image, background in segmented
         ]
         regions = tuple(region for _, region in parts)
@@ -118,3 +122,30 @@ def body_pixels(
         return project(camera, positions), depth(camera, positions)
 
     return jax.vmap(one)(cameras)
+
+
+def _extended_log_ratio(
+    ratios: np.ndarray,
+    region: Region,
+    image: np.ndarray | None,
+    background: Background | None,
+) -> tuple[np.ndarray, Region]:
+    """Log-ratios (``SIZE``, ``SIZE``) on a canvas about another with (S, S), and where they lie.
+
+    Beyond that one by what differs from the background; without a background, or an image, 0.
+    """
+    cells, origin, scale = len(ratios), np.asarray(region.origin), float(region.scale)
+    wide_scale = EXTENT * cells / SIZE * scale
+    wide = origin - (EXTENT - 1) / 2 * cells * scale
+    around = Region(wide.astype(np.float32), np.array(wide_scale, np.float32))
+    inner = Region((wide - origin) / scale - 0.5, np.array(wide_scale / scale))
+    within = resampled_values(cv2.blur(ratios, (3, 3)), inner, SIZE)
+    places = inner.origin[:, None] + (np.arange(SIZE) + 0.5) * inner.scale
+    x, y = (places >= 0) & (places <= cells - 1)
+    if image is None or background is None:
+        return np.where(y[:, None] & x, within, 0).astype(np.float32), around
+    shown = canvas(image, around, SIZE, background)
+    off = np.abs(shown.colour.astype(np.float32) - shown.room).max(-1)
+    differs = off > DIFFERENT_DEVIATIONS * shown.noise + DIFFERENT_LEVELS
+    other = BACKGROUND_LOG_RATIO * np.where(differs, 1.0, -1.0)
+    return np.where(y[:, None] & x, within, shown.certainty * other).astype(np.float32), around

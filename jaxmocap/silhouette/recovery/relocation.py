@@ -13,11 +13,7 @@ import numpy as np
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.silhouette.fit.cycles import FittedPose, FrameEvidence, fit_pose, information_without
-from jaxmocap.silhouette.recovery.lost_limbs import (
-    LimbMemory,
-    LimbProposal,
-    widened_deviations,
-)
+from jaxmocap.silhouette.recovery.lost_limbs import LimbMemory, LimbProposal
 from jaxmocap.silhouette.recovery.projected_body import ProjectedBody
 from jaxmocap.silhouette.state import (
     PoseEstimate,
@@ -65,14 +61,8 @@ def recover_limbs(
 ) -> RecoveredPose:
     """The fitted pose, or one that explains more with limbs elsewhere.
 
-    Args:
-        constants: of the tracker.
-        body: who is tracked.
-        limbs: what is remembered of them.
-        frame: what the pose was fitted to.
-        fitted: the pose.
-        deviations: (6 + D,) of the prior that it was fitted with.
-        earlier: what an earlier pass found in this frame.
+    ``deviations`` (6 + D,) are of the prior that it was fitted with; ``earlier`` is what an earlier
+    pass found in this frame.
     """
     s, recovery = constants.settings, body.recovery
     none = recovery.joints_of(())
@@ -110,7 +100,8 @@ def _best_of(
     if proposal is None:
         return best
     joints, before = body.recovery.joints_of(proposal.limbs), best.fitted
-    wide = widened_deviations(deviations, joints, constants.settings.predicted_deviation)
+    wide, widest = deviations.copy(), constants.settings.predicted_deviation
+    wide[ROOT_DOF:][joints] = np.maximum(wide[ROOT_DOF:][joints], widest)
     least = proposal.least_gain
     for pose in proposal.poses:
         again = fit_pose(constants, body, frame, pose, wide)

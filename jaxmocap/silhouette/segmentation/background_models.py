@@ -20,7 +20,6 @@ from jaxmocap.images.background_model import (
 from jaxmocap.images.canvases import full_mask
 from jaxmocap.images.foreground import shrink
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.segmentation.canvas_coverage import covered_cells
 
 # Rows of an image at which a background is learned.
 ROWS = 720
@@ -62,13 +61,10 @@ class BackgroundLearner:
         region: Region,
         pixels_xy: np.ndarray | None = None,
     ) -> None:
-        """Learn from a frame with the person in it.
+        """Learn from an image (H, W, 3) uint8 with the person in it.
 
-        Args:
-            image: (H, W, 3) uint8.
-            phi: (S, S) cells, positive within the person.
-            region: where they lie.
-            pixels_xy: (N, 2) of points all over the body as estimated.
+        Φ (S, S), cells, is positive there; ``pixels_xy`` (N, 2) are of points all over the body as
+        estimated.
         """
         self._count += 1
         if (self._count - 1) % self.every:
@@ -117,17 +113,24 @@ def possible_person(
 ) -> np.ndarray:
     """(H, W) bool: what may be the person by level set or body, ``around`` cells beyond the body.
 
-    Args:
-        phi: (S, S) cells, positive within the person.
-        region: where they lie.
-        pixels_xy: (N, 2) of points all over the body; None to go by the level set alone.
-        shape: H, W.
-        around: cells.
+    Φ (S, S), cells, is positive within the person; pixels (N, 2) are of points all over the body.
     """
     within = phi + MARGIN_CELLS > 0
     if pixels_xy is not None:
         within = within | covered_cells(pixels_xy, region, len(phi), around)
     return full_mask(np.where(within, np.float32(1), np.float32(-1)), region, shape)
+
+
+def covered_cells(pixels_xy: np.ndarray, region: Region, size: int, around: int) -> np.ndarray:
+    """(S, S) bool: cells within ``around`` cells of pixels (N, 2), by rows or columns.
+
+    That is at least half of what lies between neighbouring points, or gaps stay open.
+    """
+    cells = np.rint((pixels_xy - region.origin) / region.scale - 0.5).astype(int)
+    column, row = cells[((cells >= 0) & (cells < size)).all(1)].T
+    mask = np.zeros((size, size), np.uint8)
+    mask[row, column] = 1
+    return cv2.dilate(mask, np.ones((2 * around + 1,) * 2, np.uint8)) > 0
 
 
 def _enlarged(small: Background, size: tuple[int, int]) -> Background:

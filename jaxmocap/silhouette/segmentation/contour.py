@@ -47,15 +47,9 @@ class Contours(NamedTuple):
 def contours(
     phi: Array, log_ratio: Array, inside: Array, region: Region, count: int, most: float = 3.0
 ) -> Contours:
-    """The zero levels of V canvases.
+    """The zero levels of V canvases, ``count`` points each; all but the region are (V, S, S).
 
-    Args:
-        phi: (V, S, S), positive within the person.
-        log_ratio: (V, S, S) of ``Segmented``.
-        inside: (V, S, S) share of each cell within the image.
-        region: where the canvases lie: origins (V, 2), scales (V,).
-        count: N, static.
-        most: where log-ratios were cut off.
+    ``inside`` is the share of each cell within the image; log-ratios were cut off at ``most``.
     """
     one = partial(_one, count=count, most=most)
     return jax.vmap(one)(phi, log_ratio, jnp.asarray(inside), Region(*map(jnp.asarray, region)))
@@ -72,7 +66,8 @@ def _one(
     down = downward.astype(phi.dtype)
     y = row.astype(phi.dtype) + share * down
     x = column.astype(phi.dtype) + share * (1 - down)
-    slope_x, slope_y = _slopes(phi, x, y)
+    slope_x = (_sampled(phi, x + 1, y) - _sampled(phi, x - 1, y)) / 2
+    slope_y = (_sampled(phi, x, y + 1) - _sampled(phi, x, y - 1)) / 2
     steepness = jnp.sqrt(slope_x**2 + slope_y**2 + 1e-12)
     out_x, out_y = -slope_x / steepness, -slope_y / steepness
     # A crossing on every row and one on every column: a slanting contour has more of them.
@@ -110,14 +105,6 @@ def _crossings(phi: Array, count: int) -> tuple[tuple[Array, Array, Array], Arra
     place = jnp.argmax(reached, 1)
     size = phi.shape[1]
     return (row, place % size, (place >= size).astype(row.dtype)), total
-
-
-def _slopes(phi: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """Derivatives of Φ by x and y at places (N,)."""
-    return (
-        (_sampled(phi, x + 1, y) - _sampled(phi, x - 1, y)) / 2,
-        (_sampled(phi, x, y + 1) - _sampled(phi, x, y - 1)) / 2,
-    )
 
 
 def _sampled(values: Array, x: Array, y: Array) -> Array:

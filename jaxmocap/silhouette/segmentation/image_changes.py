@@ -39,26 +39,19 @@ class ImageHistory(NamedTuple):
     def accepted(
         self, images: Sequence[np.ndarray | None], share: float, patience: int
     ) -> tuple[list[np.ndarray | None], "ImageHistory"]:
-        """The images that are to be used, None in place of the others.
+        """The images (H, W, 3) uint8 that are to be used, None in place of the others.
 
-        Args:
-            images: (H, W, 3) uint8 of each camera, None where there is none.
-            share: of its cells in which an image may differ from the last accepted one.
-            patience: after so many rejections a camera is accepted again, whatever it shows:
-                somebody switched the light on.
+        One may differ from the last accepted one in a ``share`` of its cells. After ``patience``
+        rejections a camera is accepted again, whatever it shows: somebody switched the light on.
         """
         kept, thumbnails, rejections = [], [], []
         for image, last, count in zip(images, self.thumbnails, self.rejections, strict=True):
             now = None if image is None else thumbnail(image)
             other = now is not None and last is not None and changed_share(last, now) > share
-            if other and count < patience:
-                kept.append(None)
-                thumbnails.append(last)
-                rejections.append(count + 1)
-                continue
-            kept.append(image)
-            thumbnails.append(last if now is None else now)
-            rejections.append(0)
+            is_rejected = other and count < patience
+            kept.append(None if is_rejected else image)
+            thumbnails.append(last if is_rejected or now is None else now)
+            rejections.append(count + 1 if is_rejected else 0)
         return kept, ImageHistory(tuple(thumbnails), tuple(rejections))
 
 

@@ -29,14 +29,7 @@ EDGE_WEIGHT = 0.5
 def colour_profiles(
     image: np.ndarray, pixels_xy: np.ndarray, normals: np.ndarray, offsets: np.ndarray
 ) -> np.ndarray:
-    """(R, K, 3) colours across lines.
-
-    Args:
-        image: (H, W, 3) uint8.
-        pixels_xy: (R, 2) on the lines.
-        normals: (R, 2) unit vectors across them.
-        offsets: (K,) along the normals, pixels.
-    """
+    """(R, K, 3) colours across lines at pixels (R, 2), by offsets (K,), pixels, along normals."""
     across = pixels_xy[:, None] + offsets[:, None] * normals[:, None]
     beside = np.stack([-normals[:, 1], normals[:, 0]], 1)
     places = across[:, :, None] + ALONG[:, None] * beside[:, None, None]
@@ -74,12 +67,9 @@ def colour_boundary(profiles: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def inner_edge_pairs(images: Sequence[np.ndarray | None], rim: Rim, bones: np.ndarray) -> Matches:
-    """Pairs (C, R) of the rims' inner points and the edges next to them.
+    """Pairs (C, R) of the rims' inner points and the edges next to them in images (H, W, 3).
 
-    Args:
-        images: (H, W, 3) BGR uint8 of each camera, or None.
-        rim: with inner points.
-        bones: (M,) that carries each node of the rim's surface.
+    ``bones`` (M,) carry the nodes of the rim's surface.
     """
     rows = [_of_camera(image, rim, bones, camera) for camera, image in enumerate(images)]
     return Matches(*(np.stack(parts) for parts in zip(*rows, strict=True)))

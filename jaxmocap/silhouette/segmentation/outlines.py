@@ -51,15 +51,7 @@ def find_outlines(
     before: Histograms,
     settings: Settings,
 ) -> Outlines:
-    """Segment the images from the silhouettes that are predicted.
-
-    Args:
-        images: (H, W, 3) BGR uint8 of each camera, or None.
-        backgrounds: of each camera, or None.
-        rim: at the predicted pose.
-        before: histograms of the frames before.
-        settings: of the tracker.
-    """
+    """Segment images (H, W, 3), BGR uint8 or None, from the silhouettes that are predicted."""
     size, region = settings.rim.size, Region(*map(np.asarray, rim.region))
     views = [Region(*each) for each in zip(*region, strict=True)]
     nothing, black = np.zeros((size, size), np.float32), np.zeros((size, size, 3), np.uint8)

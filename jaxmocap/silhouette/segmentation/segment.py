@@ -160,19 +160,18 @@ def segment(
     settings: LevelSetSettings,
     plan: SegmentationPlan,
 ) -> Segmentation:
-    """Segment V images.
+    """Segment V images, from signed distances (V, S, S) to the predicted silhouettes.
 
-    Args:
-        images: the images.
-        start: (V, S, S) signed distance to the predicted silhouette, cells, positive within.
-        before: of the frames before; ``Histograms.empty`` at first.
-        settings: traced numbers.
-        plan: static choices; another one compiles again.
+    Those are cells, positive within. ``before`` is ``Histograms.empty`` at first; another plan
+    compiles again.
     """
     if plan.background and not plan.colour:
         raise ValueError("plan.background without plan.colour: expected plan.colour = True too")
+    images = jax.tree.map(jnp.asarray, images)
+    colour, background = (each.astype(jnp.float32) for each in (images.colour, images.background))
+    images = images._replace(colour=colour, background=background)
     fine = _Pixels.of(images, plan)
-    coarse = _Pixels.of(CanvasImages(*(downsampled(part) for part in fine[:5])), plan)
+    coarse = _Pixels.of(jax.tree.map(downsampled, images), plan)
     phi, ratio, now = jnp.clip(start, -BAND, BAND), jnp.zeros_like(start), before
     beyond = jnp.clip(start + settings.prior_reach, -settings.prior_reach, 0.0)
     prior = settings.shape_prior * beyond / settings.prior_reach
@@ -181,12 +180,12 @@ def segment(
         here = downsampled(phi) / 2 if stage.coarse else phi
         now = _histograms(here, pixels, before.person.shape[-1], stage, plan)
         mixed = Histograms(*(a + b for a, b in zip(now, before, strict=True)))
-        ratio = _log_ratio(mixed, pixels, settings, plan)
-        ratio = ratio * pixels.inside
+        ratio = _log_ratio(mixed, pixels, settings, plan) * pixels.images.inside
         force = ratio + (downsampled(prior) if stage.coarse else prior)
         width = stage.width
         if plan.background:
-            width = width + (stage.background_width - width) * pixels.certainty
+            certainty = jnp.asarray(pixels.images.certainty)
+            width = width + (stage.background_width - width) * certainty
         moved = evolve(here, force, settings.motion, width, stage.steps)
         phi = jnp.clip(upsampled(moved), -BAND, BAND) if stage.coarse else moved
     kept = Histograms(
@@ -196,30 +195,21 @@ def segment(
 
 
 class _Pixels(NamedTuple):
-    """What stays as it is while the contour moves: channels (V, 3, S, S) and cells (V, S, S)."""
+    """What stays as it is while the contour moves: images, and (V, S, S) what follows from them."""
 
-    colour: Array
-    inside: Array
-    background: Array
-    noise: Array
-    certainty: Array
+    images: CanvasImages
     bins: Array
     background_density: Array
 
     @classmethod
     def of(cls, images: CanvasImages, plan: SegmentationPlan) -> "_Pixels":
-        """With what follows from images: bins, and the density of the background."""
-        colour, background = (
-            jnp.asarray(image).astype(jnp.float32) for image in (images.colour, images.background)
-        )
-        inside, noise, certainty = (
-            jnp.asarray(a) for a in (images.inside, images.noise, images.certainty)
-        )
+        """With the bins of histograms, and the density of the background."""
+        colour, room, noise = map(jnp.asarray, (images.colour, images.background, images.noise))
         bins = (densities.joint_bins if plan.colour else densities.grey_bins)(colour)
         density = jnp.zeros(())
         if plan.background:
-            density = densities.background_density(colour, background, noise)
-        return cls(colour, inside, background, noise, certainty, bins, density)
+            density = densities.background_density(colour, room, noise)
+        return cls(images, bins, density)
 
 
 def _histograms(
@@ -229,13 +219,13 @@ def _histograms(
     # A coarse cell counts as the four that it is, so that histograms can be added.
     weight = 4.0 if stage.coarse else 1.0
     person, rest = (
-        weight * heaviside(sign * phi - stage.gap, REGION_WIDTH) * pixels.inside
+        weight * heaviside(sign * phi - stage.gap, REGION_WIDTH) * pixels.images.inside
         for sign in (1.0, -1.0)
     )
     if plan.background:
         share = pixels.background_density / (pixels.background_density + ANYTHING_DENSITY)
-        person = person * (1 - pixels.certainty * share)
-        rest = rest * (1 - pixels.certainty * (1 - share))
+        person = person * (1 - pixels.images.certainty * share)
+        rest = rest * (1 - pixels.images.certainty * (1 - share))
     return Histograms(
         *(densities.histogram_counts(pixels.bins, side, count) for side in (person, rest))
     )
@@ -250,6 +240,6 @@ def _log_ratio(
     if plan.background:
         other = settings.outlier_share
         empty = (1 - other) * pixels.background_density + other * rest
-        rest = pixels.certainty * empty + (1 - pixels.certainty) * rest
+        rest = pixels.images.certainty * empty + (1 - pixels.images.certainty) * rest
     ratio = jnp.log(person + LEAST_DENSITY) - jnp.log(rest + LEAST_DENSITY)
     return jnp.clip(ratio, -settings.largest_log_ratio, settings.largest_log_ratio)

@@ -90,13 +90,9 @@ class SilhouettePatch(NamedTuple):
 def sharpened_silhouette(
     image: np.ndarray, phi: np.ndarray, region: Region, background: Background | None = None
 ) -> SilhouettePatch:
-    """The silhouette to a pixel.
+    """The silhouette to a pixel in an image (H, W, 3), BGR uint8, by Φ (S, S) on a canvas.
 
-    Args:
-        image: (H, W, 3) BGR uint8.
-        phi: (S, S) cells, positive within the person.
-        region: where the canvas lies.
-        background: its model; without it, what is visible beside the person.
+    Without a background, by what is visible beside the person.
     """
     step = max(1, int(float(region.scale) / FINE))
     rows, columns = _box(phi > 0, region, image.shape[:2], step)

@@ -46,10 +46,7 @@ def determined_landmarks(tree: Tree) -> np.ndarray:
 def surface_of_body(surface: Surface, skeleton: Skeleton, name: str) -> Surface:
     """A whole person's surface, cut down to the parts of a body; closed where it was cut.
 
-    Args:
-        surface: around the skeleton.
-        skeleton: of the person.
-        name: of the body's file; where that lists no ``surface`` it has all of it.
+    ``name`` is of the body's file; where that lists no ``surface`` it has all of it.
     """
     rows = surface_rows_of(name)
     if not rows:
@@ -94,12 +91,9 @@ class BodyShape(NamedTuple):
     def of(
         cls, skeleton: Skeleton, surface: Surface, levels: Sequence[tuple[int, int]]
     ) -> "BodyShape":
-        """Of a surface as dense as rims need it, and its low-passes.
+        """Of a surface as dense as rims need it, and its low-passes, (3.17).
 
-        Args:
-            skeleton: of the person.
-            surface: around it.
-            levels: coarse to fine: the lowest harmonics around and waves along each limb, (3.17).
+        ``levels`` are, coarse to fine, the lowest harmonics around and waves along each limb.
         """
         joints = rest_joints(skeleton)
         every = (*(low_pass(surface, joints, *level) for level in levels), surface)

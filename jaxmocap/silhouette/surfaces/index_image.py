@@ -40,16 +40,10 @@ class Boundary(NamedTuple):
 
 
 def node_keys(x: Array, y: Array, depths: Array, size: int) -> tuple[Array, Array]:
-    """Where M nodes fall on a canvas, and their keys; for ``index_image``.
+    """Where M nodes fall on a canvas, and their keys, (M,) int32 each; for ``index_image``.
 
-    Args:
-        x: (M,) column of every node, not rounded; beside the canvas is allowed.
-        y: (M,) row.
-        depths: (M,) from the camera, metres.
-        size: of the canvas.
-
-    Returns:
-        (M,) int32 places, row by row, ``size * size`` beside the canvas; (M,) int32 keys.
+    Columns and rows (M,) are not rounded. Places count row by row, ``size * size`` is beside the
+    canvas. Depths (M,) are metres.
     """
     column, row = (jnp.round(jnp.clip(part, -1, size)).astype(jnp.int32) for part in (x, y))
     within = (column >= 0) & (column < size) & (row >= 0) & (row < size)
@@ -81,14 +75,10 @@ def body_mask(keys: np.ndarray) -> np.ndarray:
 
 
 def outer_boundary(keys: np.ndarray, mask: np.ndarray, count: int | None = None) -> Boundary:
-    """The body's outline, holes between its limbs too, as a mask can show it.
+    """The body's outline, holes between its limbs too, as a mask (S, S) can show it.
 
-    A cell's node is the nearest in or beside it; cells without one are left out.
-
-    Args:
-        keys: (S, S) of ``index_image``.
-        mask: (S, S) of ``body_mask``.
-        count: of cells, at most, evenly along it; all without it.
+    A cell's node is the nearest in or beside it; cells without one are left out. No more cells than
+    ``count``, evenly along it.
     """
     boundary = traced_boundary(mask)
     cells, normals = boundary if count is None else subsampled(boundary, count)
@@ -123,14 +113,11 @@ def traced_boundary(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def inner_boundary(
     keys: np.ndarray, depths: np.ndarray, jump: float, parts: np.ndarray | None = None
 ) -> Boundary:
-    """Where one part of the body ends before another: no mask shows it, colours may.
+    """Where one part of the body ends ``jump`` metres before another: colours may show it, no mask.
 
-    Args:
-        keys: (S, S) of ``index_image``.
-        depths: (M,) of the nodes, metres.
-        jump: metres from the limb in front to what is behind it, at least.
-        parts: (M,) whose boundaries with one another alone count: where one and the same is seen
-            at a glancing angle it recedes as fast. All without it.
+    By keys (S, S) and the nodes' depths (M,), metres. Boundaries of ``parts`` (M,) with one another
+    count alone, where there are any: where one and the same is seen at a glancing angle it recedes
+    as fast.
     """
     there = keys != EMPTY
     if not there.any():

@@ -49,10 +49,7 @@ class Morph:
 def morph_of(morphing: Morphing, tree: Tree, moves: np.ndarray | None = None) -> Morph:
     """A morphing with arrays for names.
 
-    Args:
-        morphing: what goes along.
-        tree: of the skeleton.
-        moves: (N, 3, S) of the nodes, in the order of ``morphing.drivers``, if skin goes along.
+    ``moves`` (N, 3, S) are of the nodes, in the order of ``morphing.drivers``, if skin goes along.
 
     Raises:
         KeyError: no such joint, or no such weighting; the message lists the valid ones.

@@ -27,8 +27,7 @@ from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import Surface, posed
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.silhouette.device_functions import ContourPairs
-from jaxmocap.silhouette.fit.correspond import pairs_of
+from jaxmocap.silhouette.fit.correspond import ContourPairs, pairs_of
 from jaxmocap.silhouette.points import linearised_rays
 from jaxmocap.silhouette.surfaces.morph import Morph, driver_values, moved_points
 from jaxmocap.silhouette.surfaces.swelling import fields_of, reshaped
@@ -64,20 +63,13 @@ def shape_equations(
 ) -> tuple[Array, Array]:
     """A frame's evidence of pose and shape: their Hessian and slope, metres squared.
 
-    Args:
-        skeleton: of the person.
-        cameras: C, stacked.
-        pose: as estimated.
-        pairs: its own, with what robust weighting leaves of their weights.
-        moves: (C * N, 3, P) of the pairs' nodes.
-        morph: what goes along with the pose.
-        lengths: so many of the ``LENGTHS`` are part of the shape; static.
+    Pairs have what robust weighting leaves of their weights, ``moves`` (C * N, 3, P) are of their
+    nodes. So many of the ``LENGTHS`` are part of the shape; static.
     """
     if morph is not None and pairs.moves is not None:
         gone = moved_points(pairs.points, pairs.moves, driver_values(morph, pose.angles))
         pairs = pairs._replace(points=gone)
-    pixels_xy, normals, weights = (jnp.asarray(part) for part in pairs[1:4])
-    rays = pairs_of(cameras, pairs.points, pixels_xy, normals, weights, 0.0)
+    rays = pairs_of(cameras, pairs._replace(moves=None, along_weight=0.0))
     frames = forward(skeleton, pose)
     residuals, rows = linearised_rays(skeleton, frames, rays)
     shares = jnp.asarray(pairs.points.shares)[..., None, None]
@@ -89,7 +81,7 @@ def shape_equations(
         longer = _by_lengths(skeleton, pose, pairs, lengths)
         along = jnp.einsum("na,nal->nl", rays.across, longer, precision=HIGHEST)
         both = jnp.concatenate([both, along], 1)
-    weighted = weights.ravel()[:, None] * both
+    weighted = rays.weights[:, None] * both
     H = jnp.matmul(weighted.T, both, precision=HIGHEST)
     return H, jnp.matmul(weighted.T, residuals[:, 0], precision=HIGHEST)
 
@@ -115,13 +107,10 @@ class ShapeEstimator:
     def __init__(
         self, surface: Surface, skeleton: Skeleton, unknown: float = 1.0, lengths: bool = False
     ):
-        """Begin with a surface.
+        """Begin with a surface, a generic one or a person's own, around a skeleton.
 
-        Args:
-            surface: a generic one, or a person's own.
-            skeleton: that it lies around.
-            unknown: how far it may be off, by how far a generic one is.
-            lengths: whether the bones' lengths are to be found as well.
+        It may be ``unknown`` times as far off as a generic one; ``lengths`` are found as well or
+        not.
         """
         self._generic, self._skeleton = surface, skeleton
         fields = fields_of(surface, rest_joints(skeleton))

@@ -105,10 +105,15 @@ def _ways(patch: Patch, grid: np.ndarray) -> dict[str, np.ndarray]:
 
 def _parts(grid: np.ndarray, stretches: int) -> np.ndarray:
     """(along, stretches) how far each ring belongs to each stretch; together 1."""
+    at = _shares_along(grid) * (stretches - 1)
+    return np.maximum(1 - np.abs(at[:, None] - np.arange(stretches)), 0.0)
+
+
+def _shares_along(grid: np.ndarray) -> np.ndarray:
+    """(along,) of the way through the rings' middles."""
     steps = np.linalg.norm(np.diff(grid.mean(1), axis=0), axis=1)
     way = np.append(0.0, np.cumsum(steps))
-    at = way / way[-1] * (stretches - 1)
-    return np.maximum(1 - np.abs(at[:, None] - np.arange(stretches)), 0.0)
+    return way / way[-1]
 
 
 @jax.jit
@@ -128,10 +133,8 @@ def radial(places: Array, centre: Array, radii: Array) -> Array:
 
 def patch_coordinates(patch: Patch, grid: np.ndarray) -> np.ndarray:
     """(along * around, 2) phi1, radians, and phi2, share of the way along, of a patch's nodes."""
-    steps = np.linalg.norm(np.diff(grid.mean(1), axis=0), axis=1)
-    way = np.append(0.0, np.cumsum(steps)) / steps.sum()
     phi = 2 * np.pi * np.arange(patch.around) / patch.around
-    return np.stack(np.broadcast_arrays(phi, way[:, None]), -1).reshape(-1, 2)
+    return np.stack(np.broadcast_arrays(phi, _shares_along(grid)[:, None]), -1).reshape(-1, 2)
 
 
 def grid_normals(grid: np.ndarray) -> np.ndarray:
@@ -148,11 +151,7 @@ def swelling_moves(
 ) -> np.ndarray:
     """(N, 3, S) what each driver moves of a surface, lambda e r of (4.28), all places together.
 
-    Args:
-        surface: N nodes, however dense.
-        joints: (B, 3) of the bones with all angles 0, metres.
-        drivers: S of them.
-        swellings: each by one of these.
+    ``joints`` (B, 3) are of the bones with all angles 0, metres.
 
     Raises:
         ValueError: no such patch.
@@ -205,12 +204,8 @@ def morph_around(
 ) -> Morph:
     """A morphing of one skeleton and the surface around it.
 
-    Args:
-        morphing: what goes along.
-        tree: of the skeleton.
-        surface: N nodes.
-        joints: (B, 3) of the bones with all angles 0, metres.
-        spacing: of the nodes that go along, metres, if those are ``resampled``.
+    ``joints`` (B, 3) are of the bones with all angles 0, metres; ``spacing``, metres, is of the
+    nodes that go along, if those are ``resampled``.
 
     Raises:
         KeyError: no such joint, or no such weighting.

@@ -13,14 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.synthetic.movements.splines import KeyStance, Spline, StanceChannels
-from jaxmocap.synthetic.people.figure import middle_joint
-from jaxmocap.synthetic.people.rigged_mesh import (
-    RiggedMesh,
-    basis,
-    rotation_between,
-    rotation_onto,
-    unit,
-)
+from jaxmocap.synthetic.people.figure import basis, middle_joint, unit
+from jaxmocap.synthetic.people.rigged_mesh import RiggedMesh, rotation_between, rotation_onto
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 
 # Joint -> how far below it the skin touches the floor, metres.
@@ -96,7 +90,7 @@ class Exerciser(RiggedMesh):
         return turned
 
     def _arm(self, stance: StanceChannels, chest: np.ndarray, side: str, out: float) -> dict:
-        upper, elbow = getattr(stance, f"arm_{side[0].lower()}")
+        upper, elbow = np.split(getattr(stance, f"arm_{side[0].lower()}"), [3], 1)
         R = chest @ R_FORWARD_REST.T @ _ball(upper, out)
         straight, hinge = np.array([0.0, 0.0, -1.0]), np.array([0.0, -1.0, 0.0])
         lower = Rotation.from_euler("Y", -elbow, degrees=True).as_matrix() @ straight
@@ -137,7 +131,7 @@ class Exerciser(RiggedMesh):
         }
 
     def _leg(self, stance: StanceChannels, hips: np.ndarray, side: str, out: float) -> dict:
-        thigh, knee, ankle = getattr(stance, f"leg_{side[0].lower()}")
+        thigh, knee, ankle = np.split(getattr(stance, f"leg_{side[0].lower()}"), [3, 4], 1)
         R = hips @ R_FORWARD_REST.T @ _ball(thigh, out)
         bent = R @ Rotation.from_euler("Y", knee, degrees=True).as_matrix()
         stretched = bent @ Rotation.from_euler("Y", ankle, degrees=True).as_matrix()

@@ -167,14 +167,9 @@ RAISES = {"overhead": overhead}
 def exercise(
     rig: Rig, name: str, seconds: float = 3.0, seed: int = 0, girdle: Girdle | None = None
 ) -> Exerciser:
-    """Someone at an exercise, facing +x about the world's origin.
+    """Someone at one of ``EXERCISES`` or ``RAISES``, facing +x about the world's origin.
 
-    Args:
-        rig: of the person.
-        name: of the exercise, one of ``EXERCISES`` or ``RAISES``.
-        seconds: duration.
-        seed: of the variations.
-        girdle: how far the shoulders go with raised arms; without it they stay on the chest.
+    The seed is of the variations; without a girdle the shoulders stay on the chest.
 
     Raises:
         ValueError: an unknown exercise; the message lists the valid ones.
@@ -184,7 +179,7 @@ def exercise(
         raise ValueError(f"unknown exercise {name!r}; expected one of {', '.join(exercises)}")
     keys = exercises[name](seconds, np.random.default_rng([seed, 6]))
     times, stances = zip(*keys, strict=True)
-    curves = Spline.through(np.array(times), np.stack([stance.channels() for stance in stances]))
+    curves = Spline(np.array(times), np.stack([stance.channels() for stance in stances]))
     return Exerciser(rig, curves, PLANTED if name == "push_ups" else None, girdle=girdle)
 
 

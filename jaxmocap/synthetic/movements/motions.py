@@ -246,12 +246,8 @@ def thrust(
 
     Along the line of sight the image hardly moves: what shows is the elbow, high or low.
 
-    Args:
-        seconds: duration.
-        seed: of person and thrusts.
-        height: metres.
-        azimuth: of the camera, degrees from frontal, positive to the person's left. Hips and
-            chest turn towards it, by half the way.
+    ``azimuth`` is the camera's, degrees from frontal, positive to the person's left. Hips and chest
+    turn towards it, by half the way.
     """
     rng = np.random.default_rng(seed)
     figure = varied_figure(height, rng)
@@ -309,7 +305,7 @@ def _varied(posture: Posture, rng: np.random.Generator) -> Posture:
 
 def spline_through(keys: list[tuple[float, Posture]]) -> Spline:
     """The spline through key postures at times in seconds."""
-    return Spline.through(
+    return Spline(
         np.array([time for time, _ in keys]), np.stack([key.channels() for _, key in keys])
     )
 

@@ -8,53 +8,21 @@ from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 
-@dataclass(frozen=True)
-class Spline:
-    """A curve at rest at both ends; before the first key and after the last it stands still.
+class Spline(CubicSpline):
+    """A curve through values (K, C) at times (K,), seconds, at rest at both ends.
 
-    Attributes:
-        times: (K,) key times, seconds, increasing.
-        values: (K, C) at the keys.
-        second_derivatives: (K, C) at the keys.
+    Before the first key and after the last it stands still.
     """
 
-    times: np.ndarray
-    values: np.ndarray
-    second_derivatives: np.ndarray
+    def __init__(self, times: np.ndarray, values: np.ndarray):
+        super().__init__(times, values, bc_type="clamped")
 
-    @classmethod
-    def through(cls, times: np.ndarray, values: np.ndarray) -> "Spline":
-        """The spline through (K, C) values with zero velocity at both ends.
-
-        Raises:
-            ValueError: fewer than two keys, or times that do not increase.
-        """
-        times, values = np.asarray(times, float), np.asarray(values, float)
-        steps = np.diff(times)
-        if len(times) < 2 or not (steps > 0).all():
-            raise ValueError(f"key times = {times.tolist()}: expected two or more, increasing")
-        system = np.zeros((len(times), len(times)))
-        interval = np.arange(len(steps))
-        np.add.at(system, (interval, interval), steps / 3)
-        np.add.at(system, (interval + 1, interval + 1), steps / 3)
-        system[interval, interval + 1] = system[interval + 1, interval] = steps / 6
-        slopes = np.diff(values, axis=0) / steps[:, None]
-        resting = np.zeros((1, values.shape[1]))
-        changes = np.diff(np.concatenate([resting, slopes, resting]), axis=0)
-        return cls(times, values, np.linalg.solve(system, changes))
-
-    def __call__(self, times: np.ndarray) -> np.ndarray:
+    def __call__(self, times: np.ndarray) -> np.ndarray:  # type: ignore[override]
         """Values (T, C) at (T,) times."""
-        t = np.clip(np.asarray(times, float), self.times[0], self.times[-1])
-        k = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
-        step = (self.times[k + 1] - self.times[k])[:, None]
-        b = (t - self.times[k])[:, None] / step
-        a = 1 - b
-        straight = a * self.values[k] + b * self.values[k + 1]
-        bend = (a**3 - a) * self.second_derivatives[k] + (b**3 - b) * self.second_derivatives[k + 1]
-        return straight + step**2 / 6 * bend
+        return super().__call__(np.clip(times, self.x[0], self.x[-1]))
 
 
 class StanceChannels(NamedTuple):
@@ -65,10 +33,10 @@ class StanceChannels(NamedTuple):
     turn: np.ndarray
     back: np.ndarray
     neck: np.ndarray
-    arm_l: tuple[np.ndarray, np.ndarray]
-    arm_r: tuple[np.ndarray, np.ndarray]
-    leg_l: tuple[np.ndarray, np.ndarray, np.ndarray]
-    leg_r: tuple[np.ndarray, np.ndarray, np.ndarray]
+    arm_l: np.ndarray
+    arm_r: np.ndarray
+    leg_l: np.ndarray
+    leg_r: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -119,10 +87,4 @@ class KeyStance:
     @staticmethod
     def split(values: np.ndarray) -> StanceChannels:
         """Channels (T, 28) by their names."""
-        v = values.T
-        place, lift, turn, back, neck = (
-            v[a:b].T for a, b in ((0, 2), (2, 3), (3, 6), (6, 9), (9, 10))
-        )
-        arm_l, arm_r = ((v[i : i + 3].T, v[i + 3 : i + 4].T) for i in (10, 14))
-        leg_l, leg_r = ((v[i : i + 3].T, v[i + 3 : i + 4].T, v[i + 4 : i + 5].T) for i in (18, 23))
-        return StanceChannels(place, lift, turn, back, neck, arm_l, arm_r, leg_l, leg_r)
+        return StanceChannels(*np.split(values, [2, 3, 6, 9, 10, 14, 18, 23], 1))

@@ -171,7 +171,7 @@ class _PersonMesh:
         i, reach = self.tree.bone(bone), self.figure.reach(bone)
         table = np.array(profile, float)
         t = np.linspace(table[0, 0], table[-1, 0], 12 * self.detail + 1)
-        rows = Spline.through(table[:, 0], table[:, 1:])(t) * self.scale
+        rows = Spline(table[:, 0], table[:, 1:])(t) * self.scale
         centres = self.rest[i] + t[:, None] * reach + rows[:, 2:] * [1.0, 0.0, 0.0]
         radii = rows[:, :2]
         for end, wanted in ((0, caps[0]), (-1, caps[1])):
@@ -193,7 +193,7 @@ class _PersonMesh:
         for table, colour, folds in ((shirt, self.shirt, 0.025), (PELVIS, self.trousers, 0.01)):
             profile, rings, sides = np.array(table), 26 * self.detail, 30 * self.detail
             t = np.linspace(profile[0, 0], profile[-1, 0], rings)
-            radii = Spline.through(profile[:, 0], profile[:, 1:])(t) * self.scale
+            radii = Spline(profile[:, 0], profile[:, 1:])(t) * self.scale
             centres = t[:, None] * [0.0, 0.0, top]
             across = (np.array([1.0, 0, 0]), np.array([0, 1.0, 0]))
             swell = 1 + folds * waves(self.rng, rings, sides, around=7)

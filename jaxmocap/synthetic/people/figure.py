@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton
 
@@ -103,12 +104,7 @@ class PostureChannels(NamedTuple):
 
 
 class BoneFrames(NamedTuple):
-    """Frames of B bones over T instants.
-
-    Attributes:
-        joints_world: (T, B, 3) metres.
-        R_world_bone: (T, B, 3, 3).
-    """
+    """Frames of B bones over T instants: joints (T, B, 3), metres, and rotations (T, B, 3, 3)."""
 
     joints_world: np.ndarray
     R_world_bone: np.ndarray
@@ -247,25 +243,24 @@ class Figure:
 
 def _turns(axes: str, *angles: np.ndarray) -> np.ndarray:
     """Product (T, 3, 3) of turns about the named axes, left to right."""
-    R = np.broadcast_to(np.eye(3), (len(angles[0]), 3, 3))
-    for axis, angle in zip(axes, angles, strict=True):
-        i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-        turn = np.broadcast_to(np.eye(3), R.shape).copy()
-        turn[:, i, i] = turn[:, j, j] = np.cos(angle)
-        turn[:, j, i], turn[:, i, j] = np.sin(angle), -np.sin(angle)
-        R = R @ turn
-    return R
+    return Rotation.from_euler(axes.upper(), np.stack(angles, -1)).as_matrix()
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) of length 1."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def basis(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) orthonormal columns: along ``first``, and across it towards ``second``."""
+    x = unit(first)
+    z = unit(np.cross(x, second))
+    return np.stack([x, np.cross(z, x), z], -1)
 
 
 def _frame(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
     """Frames (T, 3, 3) with z along ``up`` and x as near to ``ahead`` as can be."""
-    z = _unit(up)
-    y = _unit(np.cross(z, ahead))
-    return np.stack([np.cross(y, z), y, z], -1)
+    return basis(up, ahead)[..., [1, 2, 0]]
 
 
 def middle_joint(
@@ -276,7 +271,7 @@ def middle_joint(
     axis = end - start
     d = np.linalg.norm(axis, axis=-1, keepdims=True)
     u = axis / d
-    side = _unit(towards - np.sum(towards * u, -1, keepdims=True) * u)
+    side = unit(towards - np.sum(towards * u, -1, keepdims=True) * u)
     along = (a * a - b * b + d * d) / (2 * d)
     return start + along * u + np.sqrt(np.maximum(a * a - along * along, 0.0)) * side
 

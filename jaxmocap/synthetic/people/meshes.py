@@ -28,11 +28,9 @@ class QuadMesh:
     weights: np.ndarray
 
     def posed(self, R_world_bone: np.ndarray, shifts: np.ndarray) -> np.ndarray:
-        """Vertices (T, V, 3) with the bones moved.
+        """Vertices (T, V, 3) with the bones moved by turns (T, B, 3, 3) from their rest.
 
-        Args:
-            R_world_bone: (T, B, 3, 3) turns of the bones from their rest.
-            shifts: (T, B, 3) where a bone's turn takes the rest frame's origin, metres.
+        ``shifts`` (T, B, 3) are where a bone's turn takes the rest frame's origin, metres.
         """
         frames = np.concatenate([R_world_bone, shifts[..., None]], -1)
         blended = np.zeros((len(frames), len(self.vertices), 3, 4))

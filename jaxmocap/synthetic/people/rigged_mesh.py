@@ -8,6 +8,7 @@ OUTPUTS: a RiggedMesh: vertices and landmarks at any time.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -18,6 +19,7 @@ import numpy as np
 
 from jaxmocap.formats.files.arrays import INTEGERS, NAMES, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError, comma_list
+from jaxmocap.synthetic.people.figure import basis
 from jaxmocap.synthetic.people.meshes import QuadMesh
 
 # Of a vertex or joint of a file.
@@ -167,10 +169,7 @@ class RiggedMesh(ABC):
     @cached_property
     def _from_root(self) -> list[str]:
         """Joint names, parents first."""
-        order = [i for i, parent in enumerate(self.body.parents) if parent < 0]
-        for i in order:
-            order += [child for child, parent in enumerate(self.body.parents) if parent == i]
-        return [self.body.names[i] for i in order]
+        return [self.body.names[i] for i in _from_roots(self.body.parents)]
 
     def at(self, name: str) -> np.ndarray:
         """(3,) a joint at rest, metres."""
@@ -178,12 +177,9 @@ class RiggedMesh(ABC):
 
 
 def load_rig(file: str | Path, who: str | None = None, seed: int = 0) -> Rig:
-    """One of the people of a file, in clothes worn as the seed says.
+    """One of the people of an .npz file, see ``FILE_ARRAYS``, in clothes worn as the seed says.
 
-    Args:
-        file: .npz of people, see ``FILE_ARRAYS``.
-        who: by name; None is the one called man, or else the first.
-        seed: of the clothes.
+    Without a name the one called man, or else the first.
 
     Raises:
         InputError: no such file, another kind of file, or one that contradicts itself.
@@ -266,12 +262,18 @@ def _check_tree(file: str | Path, names: list[str], parents: list[int]) -> None:
         problem = f"found roots (-1) {comma_list(roots)} and indices to {max(parents)}"
         expected = f"expected {ROOT} alone and indices below {len(parents)}"
         raise InputError(file, f"joint_parents: {problem}, {expected}")
-    reached = [i for i, parent in enumerate(parents) if parent < 0]
-    for joint in reached:
-        reached += [i for i, parent in enumerate(parents) if parent == joint]
+    reached = _from_roots(parents)
     if len(reached) < len(parents):
         loose = next(i for i in range(len(parents)) if i not in reached)
         raise InputError(file, f"joint_parents: {names[loose]} hangs on no root, a loop")
+
+
+def _from_roots(parents: Sequence[int]) -> list[int]:
+    """What hangs on a root (-1), parents first."""
+    order = [i for i, parent in enumerate(parents) if parent < 0]
+    for i in order:
+        order += [child for child, parent in enumerate(parents) if parent == i]
+    return order
 
 
 def _colours(
@@ -295,18 +297,6 @@ def _colours(
     worn[on_head & ((middle[:, 2] > head[2] + 0.13) | (middle[:, 1] > head[1] + 0.03))] = HAIR
     stripes = 1 + 0.12 * np.sign(np.sin(middle[:, 2] * 130)) * (worn == SHIRT).all(-1)
     return np.clip(worn * (stripes * rng.normal(1, 0.06, len(worn)))[:, None], 0.02, 1)
-
-
-def unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) of length 1."""
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
-def basis(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) orthonormal columns: along ``first``, and across it towards ``second``."""
-    x = unit(first)
-    z = unit(np.cross(x, second))
-    return np.stack([x, np.cross(z, x), z], -1)
 
 
 def rotation_onto(

@@ -44,9 +44,7 @@ class Girdle:
     def turn(self, upper: np.ndarray, out: float) -> np.ndarray:
         """Turns (T, 3, 3) from rest, in the chest's frame: x ahead, y left, z up.
 
-        Args:
-            upper: (T, 3) unit vectors along the upper arm, in that frame.
-            out: 1 for the left side, -1 for the right.
+        ``upper`` (T, 3) are unit vectors along the upper arm there; ``out`` is 1 left, -1 right.
         """
         up, back = self.angles(np.degrees(np.arccos(np.clip(-upper[:, 2], -1, 1))))
         return Rotation.from_euler(

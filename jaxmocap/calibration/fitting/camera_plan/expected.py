@@ -83,12 +83,9 @@ class Information(NamedTuple):
 
 @jax.jit
 def of_markers(model: Model, settings: SmoothingSettings, movement: Movement) -> Information:
-    """The information of markers and priors, without any camera.
+    """The information of markers and priors, without any camera; bones are taken as they are.
 
-    Args:
-        model: of the person and the markers; its bones are taken as they are.
-        settings: whose errors that are alike count once (``uncertainty.counted_once``).
-        movement: of the person.
+    Errors that are alike count once in the settings (``uncertainty.counted_once``).
     """
     none = jnp.zeros(0, model.dtype)
 
@@ -116,12 +113,7 @@ def with_camera(
 ) -> Information:
     """The information with what one more camera would show, which is taken as calibrated.
 
-    Args:
-        skeleton: of the person.
-        settings: as of ``of_markers``.
-        information: without this camera.
-        camera: anywhere; limbs outside of its image add nothing.
-        rate: its frames a second.
+    Limbs outside of its image add nothing; ``rate`` is its frames a second.
     """
     times = information.times
     a_moment = rate * (times[-1] - times[0]) / (len(times) - 1)
@@ -143,10 +135,6 @@ def expected_deviations(settings: SmoothingSettings, information: Information) -
     """Standard deviations (S, T, L, 3) of the ``LANDMARKS``' coordinates, world, metres.
 
     A stretch borrows nothing from outside of it, so that its ends are less sure than its middle.
-
-    Args:
-        settings: as of ``of_markers``.
-        information: of markers, priors and cameras.
     """
     return jax.lax.map(
         lambda each: _landmark_deviations(settings, information.times, *each),

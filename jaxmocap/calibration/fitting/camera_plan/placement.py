@@ -166,12 +166,7 @@ error_and_slope = jax.jit(jax.value_and_grad(expected_error, argnums=1))
 
 
 class Ring(NamedTuple):
-    """Places about the person, before any is improved.
-
-    Attributes:
-        places: (K, ...) of them.
-        errors: (K,) that are expected there, metres.
-    """
+    """K places about the person, before any is improved, and errors (K,) expected there, metres."""
 
     places: CameraPlace
     errors: np.ndarray
@@ -180,11 +175,7 @@ class Ring(NamedTuple):
 def ring_about(goal: Goal, bounds: Bounds, stature: float, show: Callable[[float], None]) -> Ring:
     """What is expected of a camera on a ring of places, moved between the walls.
 
-    Args:
-        goal: what the camera is for.
-        bounds: walls and heights.
-        stature: of the person, metres.
-        show: called with the share done.
+    The stature is metres; ``show`` gets the share done.
     """
     places, errors = [], []
     around = [(a, far) for a in range(AZIMUTHS) for far in DISTANCES_M]
@@ -218,13 +209,7 @@ class BestPlace(NamedTuple):
 
 
 def best_place(goal: Goal, bounds: Bounds, ring: Ring, show: Callable[[float], None]) -> BestPlace:
-    """The best place of a camera, from the best ones of a ring.
-
-    Args:
-        goal: what the camera is for.
-        bounds: walls and heights.
-        ring: whose best places are improved.
-        show: called with the share done.
+    """The best place of a camera, from the best ones of a ring; ``show`` gets the share done.
 
     Raises:
         ValueError: no place of the ring is far enough from the person.

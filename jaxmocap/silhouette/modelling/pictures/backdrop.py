@@ -119,13 +119,10 @@ def _quadratic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def thresholds(
     brightness: np.ndarray, left: np.ndarray, samples: np.ndarray, photograph: np.ndarray
 ) -> tuple[float, float, float]:
-    """Darkest and brightest factor, and largest chromaticity, of the backdrop.
+    """Darkest and brightest factor, and largest chromaticity, of the backdrop's samples (H, W).
 
-    Args:
-        brightness: (H, W) factor by which the image is brighter than its backdrop.
-        left: (H, W) chromaticity: what is left then, as a share of the backdrop's colour.
-        samples: (H, W) bool, of the backdrop.
-        photograph: for the error's picture.
+    ``brightness`` (H, W) is the factor by which the image is brighter, ``left`` (H, W) what is left
+    then, as a share of the backdrop's colour. The photograph is for the error's picture.
 
     Raises:
         PhotographError: the samples differ too much among themselves.

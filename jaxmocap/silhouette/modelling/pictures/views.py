@@ -58,12 +58,10 @@ class PhotographView:
         x, y = plane_components(self._intrinsics, pixels_xy[..., 0], pixels_xy[..., 1])
         return np.stack([x, y, np.ones_like(x)], -1) @ R
 
-    def plane_points(
-        self, pixels_xy: np.ndarray, point: np.ndarray, normal: np.ndarray
-    ) -> np.ndarray:
-        """(..., 3) where the rays through pixels meet the plane through a point, metres."""
+    def plane_points(self, pixels_xy: np.ndarray, point: np.ndarray) -> np.ndarray:
+        """(..., 3) where the rays through pixels are as far ahead (x) as a point, metres."""
         rays = self.rays(np.asarray(pixels_xy, float))
-        share = (point - self.centre) @ normal / (rays @ normal)
+        share = (point - self.centre)[0] / rays[..., 0]
         return self.centre + share[..., None] * rays
 
     def covers(self, points: np.ndarray) -> np.ndarray:

@@ -63,14 +63,10 @@ Part = tuple[np.ndarray, np.ndarray]
 def baked(
     surface: Surface, atlas: Atlas, mesh: SurfaceMesh, shots: Mapping[str, SurfacePhotograph]
 ) -> np.ndarray:
-    """The atlas' picture (H, W, 3), BGR uint8.
+    """The atlas' picture (H, W, 3), BGR uint8, of a surface with the generic body's patches.
 
-    Args:
-        surface: patches of the generic body: pairs ``_l`` and ``_r``, others the same on both
-            sides, rings of all beginning ahead.
-        atlas: of it.
-        mesh: of it.
-        shots: photograph's name -> photograph; the first one's brightness is kept.
+    They are pairs ``_l`` and ``_r``, or the same on both sides, and all their rings begin ahead.
+    The first photograph's brightness is kept.
     """
     clouds = [texels_of(surface, atlas, mesh, shot.nodes_world) for shot in shots.values()]
     colours, weights = [], []
@@ -227,13 +223,9 @@ def avatar_of(
     views: Mapping[str, PhotographView],
     texel: float,
 ) -> Avatar:
-    """A person's colours from the photographs.
+    """A person's colours from the photographs (H, W, 3), BGR uint8, and their views.
 
-    Args:
-        person: of the shape that they gave.
-        images: photograph -> (H, W, 3) BGR uint8.
-        views: photograph -> mask and camera.
-        texel: of the picture, metres on the surface.
+    ``texel`` is of the picture, metres on the surface.
     """
     rest = rest_nodes(person.surface, rest_joints(person.skeleton))
     atlas = atlas_of(person.surface, rest, texel)

@@ -43,10 +43,8 @@ def gains(
     By the backdrop, where it is the same: where that makes colours of places agree which both
     pictures show. By these alone it could not be separated from light that comes from one side.
 
-    Args:
-        colours: P times (K, 3), grey levels.
-        weights: P times (K,), 0 where a picture does not show the place.
-        backdrops: (P, 3) their colours, grey levels.
+    Each picture's colours (K, 3) and the backdrops' (P, 3) are grey levels; weights (K,) are 0
+    where a picture does not show the place.
     """
     factors = [np.ones(3)]
     for colour, weight, backdrop in zip(colours[1:], weights[1:], backdrops[1:], strict=True):
@@ -63,12 +61,7 @@ def gains(
 def fused(
     colours: Sequence[np.ndarray], weights: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(..., 3) colours, the linear blend of several; (...) the largest weight.
-
-    Args:
-        colours: P times (..., 3).
-        weights: P times (...).
-    """
+    """The linear blend (..., 3) of P colours (..., 3) by weights (...), and the largest weight."""
     best = np.maximum(np.max(weights, 0), 1e-9)
     shares = [np.maximum(w / best - LEAST_SHARE, 0) for w in weights]
     total = np.sum(shares, 0)

@@ -72,10 +72,7 @@ PAPER = 245
 def nearest_points(cells_xy: np.ndarray, depths: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """(H, W) number of the nearest of the points in each cell, ``NONE`` without one.
 
-    Args:
-        cells_xy: (K, 2) column and row of each point, not rounded; beside the canvas is allowed.
-        depths: (K,) of the points.
-        shape: of the canvas.
+    Columns and rows (K, 2) are not rounded, and may lie beside the canvas; depths are (K,).
     """
     columns, rows = np.rint(cells_xy).astype(int).T
     within = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
@@ -92,14 +89,10 @@ def visible_points(
     shape: tuple[int, int],
     slacks: Iterable[tuple[int, float]],
 ) -> np.ndarray:
-    """(K,) bool: nothing hides a point.
+    """(K,) bool: nothing hides a point of ``nearest_points``.
 
-    Args:
-        cells_xy: (K, 2) as for ``nearest_points``.
-        depths: (K,) of the points.
-        shape: of the canvas.
-        slacks: for each number of cells about a point's own, how far before it what lies there
-            hides it.
+    ``slacks`` are, for each number of cells about a point's own, how far before it what lies there
+    hides it.
     """
     nearest = nearest_points(cells_xy, depths, shape)
     buffer = np.where(nearest == NONE, np.inf, depths[nearest]).astype(np.float32)
@@ -118,13 +111,9 @@ def visible_points(
 def splatted(
     cells_xy: np.ndarray, depths: np.ndarray, colours: np.ndarray, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A picture of points, and where it shows them (H, W) bool; single open cells are closed.
+    """A picture of ``nearest_points``, and where it shows them (H, W) bool.
 
-    Args:
-        cells_xy: (K, 2) as for ``nearest_points``.
-        depths: (K,) of the points.
-        colours: (K, 3) BGR uint8.
-        shape: of the picture.
+    Their colours are (K, 3) BGR uint8; single open cells are closed.
     """
     nearest = nearest_points(cells_xy, depths, shape)
     filled = nearest != NONE
