@@ -34,7 +34,7 @@ from jaxmocap.capture.keypoints import open_keypoints
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.compilation.clock import Clock
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import evaluate
 from jaxmocap.evidence.appearance.learned import ROWS, Drawing, learn_appearance
 from jaxmocap.evidence.edges import EdgeEvidence
 from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS

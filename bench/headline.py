@@ -23,7 +23,7 @@ from bench.figures import Metric
 from bench.frame_rate import Pace, causal
 from bench.rival_detector import detector
 from jaxmocap.capture.footage import forward_readers, open_footage
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import evaluate
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.tracking.track import make_tracker, track

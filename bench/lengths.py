@@ -23,7 +23,7 @@ from bench.clips import ELBOWS
 from bench.figures import Metric, aligned, write_json
 from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import WINTER, Skeleton
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import evaluate
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import progress_bar

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from jaxmocap.body.motion import Motion, Report
     from jaxmocap.body.pose import Pose
     from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-    from jaxmocap.evaluation.motions import evaluate
+    from jaxmocap.evaluation.errors import evaluate
     from jaxmocap.formats.files.errors import InputError
     from jaxmocap.formats.recordings.recording import Recording
     from jaxmocap.geometry.cameras import Camera
@@ -81,7 +81,7 @@ _HOMES = {
     "Skeleton": "body.skeleton",
     "SmoothMotion": "smoothing.functions",
     "State": "hybrid.step",
-    "evaluate": "evaluation.motions",
+    "evaluate": "evaluation.errors",
     "first_pass": "pipelines.tracking.functions",
     "keep_compiled": "pipelines.kept_programs",
     "landmarks": "hybrid.functions",

@@ -1,6 +1,6 @@
 """Joint positions against a reference: distances, their statistics, jitter.
 
-INPUTS: tracked joints and reference markers over time (metres, Z up, seconds).
+INPUTS: a Motion, or tracked joints, and reference markers over time (metres, Z up, seconds).
 OUTPUTS: Errors: distances per joint and matched sample, their statistics, a dictionary for JSON.
 """
 
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import ndtri
 
+from jaxmocap.body.motion import Motion
 from jaxmocap.evaluation.series import high_pass, match, second_difference
 from jaxmocap.formats.files.errors import InputError, comma_list
 from jaxmocap.formats.motion_npz import load_motion
@@ -183,7 +184,6 @@ def position_errors(
     truth_times: np.ndarray,
     truth: Mapping[str, np.ndarray],
     pairs: Mapping[str, str],
-    tolerance: float | None = None,
     sources: tuple[str | Path, str | Path] = ("tracked joints", "reference"),
     deviations: Mapping[str, np.ndarray] | None = None,
 ) -> Errors:
@@ -195,7 +195,6 @@ def position_errors(
         truth_times: (R,) seconds of the reference.
         truth: name -> (R, 3) world, metres.
         pairs: joint name -> the name of its marker in the reference.
-        tolerance: see ``match``.
         sources: names of the two in messages.
         deviations: joint -> (T, 3) standard deviations of the tracked joints, metres.
 
@@ -208,7 +207,7 @@ def position_errors(
     for joint, marker in pairs.items():
         _require(joint, joints, "joint", tracked)
         _require(marker, truth, "marker", reference)
-    a, b = match(times, truth_times, tolerance)
+    a, b = match(times, truth_times)
     if not len(a):
         problem = f"covers {_span(times)} and has no time in common with {reference}"
         raise InputError(tracked, f"{problem}, which covers {_span(truth_times)}")
@@ -231,15 +230,42 @@ def _span(times: np.ndarray) -> str:
     return f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "no time at all"
 
 
-def points_z_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
-    """Name -> points (T, 3), world with Z up, of a reference whose vertical axis is ``up``.
-
-    Raises:
-        ValueError: an ``up`` that is neither "z" nor "y".
-    """
+def _points_z_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
+    """Name -> points (T, 3), world with Z up, of a reference whose vertical axis is ``up``."""
     if up not in TO_WORLD:
         raise ValueError(f"up = {up!r}: expected one of {', '.join(TO_WORLD)}")
     return {name: points[:, TO_WORLD[up]] for name, points in reference.points().items()}
+
+
+def evaluate(
+    motion: Motion, truth: str | Path | Markers, pairs: Mapping[str, str], up: str | None = None
+) -> Errors:
+    """Errors of a motion's joints against a reference, matched by time stamp.
+
+    Args:
+        motion: what was tracked.
+        truth: a file of markers, a .bvh or .glb whose joints are compared, or Markers.
+        pairs: joint name -> the name of its marker in the reference.
+        up: the reference's vertical axis, "z" or "y" (world = (z, x, y) of the file); None is "y"
+            for .bvh and .glb, else "z".
+
+    Raises:
+        InputError: a file that is missing or no marker file, an unknown name, no common time.
+        ValueError: another ``up``.
+
+    Example:
+        >>> from jaxmocap import Recording, Settings, evaluate, track
+        >>> motion = track(Recording.load("recording.toml"), Settings(refine="none"))
+        >>> errors = evaluate(motion, "truth.trc", {"elbow_r": "elbow_r"})
+        >>> bool(errors.mean < 1.0)  # metres
+        True
+    """
+    in_memory = isinstance(truth, Markers)
+    markers = truth if in_memory else read_markers(truth)
+    points = _points_z_up(markers, up or ("z" if in_memory else default_up(truth)))
+    sources = "motion", "reference" if in_memory else truth
+    joints, deviations = motion.joints(), motion.deviations()
+    return position_errors(motion.times, joints, markers.times, points, pairs, sources, deviations)
 
 
 def evaluate_directory(
@@ -271,21 +297,18 @@ def evaluate_directory(
     deviations = None
     if path.is_file():
         motion = load_motion(path)
-        deviations = motion.deviations()
-        joints = motion.joints()
-        tracked = Markers(motion.times, tuple(joints), np.stack(list(joints.values()), 1))
+        times, joints, deviations = motion.times, motion.joints(), motion.deviations()
     else:
         path = Path(directory) / "joints.trc"
         tracked = read_markers(path)
+        times, joints = tracked.times, tracked.points()
     truth = read_markers(truth_path)
-    truth_world = points_z_up(truth, up or default_up(truth_path))
+    points = _points_z_up(truth, up or default_up(truth_path))
     if pairs is None:
-        pairs = {name: name for name in tracked.names if name in truth.names}
+        pairs = {name: name for name in joints if name in points}
         if not pairs:
-            found, ours = comma_list(truth.names), comma_list(tracked.names)
+            found, ours = comma_list(truth.names), comma_list(tuple(joints))
             problem = f"no joint of the same name; state --match: found {found}, ours are {ours}"
             raise InputError(truth_path, problem)
-    times, both = truth.times + offset, (path, truth_path)
-    return position_errors(
-        tracked.times, tracked.points(), times, truth_world, pairs, None, both, deviations
-    )
+    sources = path, truth_path
+    return position_errors(times, joints, truth.times + offset, points, pairs, sources, deviations)

@@ -144,7 +144,7 @@ def check_picture(path: str | Path, inputs: Iterable[str | Path] = ()) -> None:
         raise InputError(path, f"found {suffix!r}, expected {', '.join(PICTURES)}")
 
 
-def save_figure(figure: Figure, path: str | Path, title: str) -> None:
+def save_figure(figure: Figure, path: str | Path, title: str = "") -> None:
     """Write a figure to a picture file, moved into place when it is complete."""
     if title:
         figure.suptitle(title)
@@ -182,7 +182,7 @@ def plot_stick_figures(path: str | Path, people: Mapping[str, Motion]) -> None:
         heights.set_ylabel("height [cm]")
     axes[-1, 1].set_xlabel("time [s]")
     axes[0, 1].legend(frameon=False, ncols=4, fontsize="small")
-    save_figure(figure, path, "")
+    save_figure(figure, path)
 
 
 def _draw_figures(panel, joints: dict[str, np.ndarray], highest: float) -> None:

@@ -15,8 +15,7 @@ from jaxmocap.body.model import marker_sites
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import WINTER, Skeleton
-from jaxmocap.evaluation.errors import Errors
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import Errors, evaluate
 from jaxmocap.evaluation.plots import plot_elbow_errors
 from jaxmocap.evaluation.tables import format_table
 from jaxmocap.formats.files.errors import InputError

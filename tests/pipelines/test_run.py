@@ -22,7 +22,7 @@ from jaxmocap.body.motion import SAMPLED, Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.capture.video import open_video
 from jaxmocap.cli.recording_options import select_cameras, with_height
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import evaluate
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import load_motion

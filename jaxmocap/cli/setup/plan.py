@@ -82,11 +82,11 @@ def _fields_of_view(text: str) -> tuple[float, ...]:
 
 
 def _run(options: argparse.Namespace) -> None:
-    from jaxmocap.evaluation.floor_plan import plot_floor_plan
     from jaxmocap.evaluation.plots import check_picture
     from jaxmocap.formats.files.errors import InputError
     from jaxmocap.formats.recordings.recording import load_recording
     from jaxmocap.pipelines.kept_programs import keep_compiled
+    from jaxmocap.pipelines.planning.floor_plan import plot_floor_plan
     from jaxmocap.pipelines.planning.plan import plan_cameras
     from jaxmocap.pipelines.planning.requirements import Requirements
 
@@ -114,7 +114,7 @@ def _run(options: argparse.Namespace) -> None:
     )
     files = []
     if options.out:
-        plot_floor_plan(options.out, plan.floor_plan(), plan.rows(), ", ".join(plan.joints))
+        plot_floor_plan(options.out, plan)
         files.append(options.out)
     report(options, plan.text(files), plan.figures() | {"files": files})
 

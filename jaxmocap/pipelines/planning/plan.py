@@ -53,7 +53,6 @@ def plan_cameras(
     *,
     movement: str = "tennis",
     height: float = 1.75,
-    settings: Settings | None = None,
     progress: Progress | bool | None = None,
 ) -> CameraPlan:
     """Where cameras are worth most, and what else would help.
@@ -66,14 +65,13 @@ def plan_cameras(
         required: joints, walls, lens.
         movement: drawn where there is no recording, one of ``MOTIONS``.
         height: of that person, metres.
-        settings: of the tracker.
         progress: see ``track``.
 
     Raises:
         InputError: a recording without markers, or one that is too short; requirements that
             leave no place.
     """
-    required, settings = required or Requirements(), settings or Settings()
+    required, settings = required or Requirements(), Settings()
     bounds, rows = required.bounds(), landmark_rows(required.landmarks())
     weights = np.zeros(len(LANDMARKS), np.float32)
     weights[rows] = 1 / len(rows)

@@ -18,12 +18,11 @@ from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.calibration.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.capture.footage import cached_frames, forward_readers
 from jaxmocap.compilation.clock import Clock
-from jaxmocap.evaluation.interval_plot import plot_intervals
 from jaxmocap.evidence.appearance.learned import ROWS
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.recordings.subject import write_subject
 from jaxmocap.pipelines.progress import Progress, progress_bar
-from jaxmocap.pipelines.scaling.lengths_report import VERDICTS, LengthsReport
+from jaxmocap.pipelines.scaling.lengths_report import LengthsReport, plot_lengths
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned
 from jaxmocap.pipelines.tracking.track import make_tracker, open_recording, with_sight_lines
@@ -64,7 +63,7 @@ def scale_by_recording(
     tall = skeleton_stature(stated) if height is None else height
     report = LengthsReport.of(stated, person, tall, fit, Path(out))
     write_subject(out, person, tall, report.lines())
-    plot_intervals(report.picture, report.intervals(), VERDICTS, f"Lengths from {Path(path).name}")
+    plot_lengths(report.picture, report.lengths, f"Lengths from {Path(path).name}")
     return report
 
 

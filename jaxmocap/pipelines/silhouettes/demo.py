@@ -15,8 +15,7 @@ import numpy as np
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import LANDMARKS, WINTER, with_joints
-from jaxmocap.evaluation.errors import Errors
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import Errors, evaluate
 from jaxmocap.evaluation.plots import plot_joint_errors
 from jaxmocap.evaluation.tables import format_table
 from jaxmocap.formats.files.errors import InputError
