@@ -63,11 +63,6 @@ class Demonstration:
     with_video: Errors
     files: list[Path]
 
-    @property
-    def improvement(self) -> float:
-        """The share by which video lowers the mean error."""
-        return 1 - self.with_video.mean / self.markers_only.mean
-
     def table(self) -> str:
         """Elbow errors with video and without, and the rate of all passes, as text."""
         table = format_table(self.with_video, self.markers_only)
@@ -79,7 +74,7 @@ class Demonstration:
         return {
             "markers_only": self.markers_only.as_dict(),
             "with_video": self.with_video.as_dict(),
-            "improvement_share": self.improvement,
+            "improvement_share": 1 - self.with_video.mean / self.markers_only.mean,
             "frames_per_second": frames_per_second(self.motion.report),
             "files": [str(path) for path in self.files],
         }

@@ -5,6 +5,7 @@ every step.
 """
 
 import argparse
+from functools import partial
 
 from jaxmocap.cli.command import Command, positive_number, report, whole_number
 
@@ -59,7 +60,7 @@ def _run(options: argparse.Namespace) -> None:
         options.height,
         options.reading,
     )
-    files = modelling.write_model(model, folder)
+    files = folder.write(partial(modelling.write_model, model))
     figures = model.figures() | {"files": [str(path) for path in files]}
     report(options, modelling.model_text(model, files), figures)
 

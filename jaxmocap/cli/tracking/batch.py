@@ -42,12 +42,13 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from jaxmocap.pipelines.batch.batch import TrackingOptions, track_corpus
+    from jaxmocap.pipelines.batch.batch import track_corpus
 
     batch = track_corpus(
         options.corpus,
         options.out,
-        TrackingOptions(settings_of(options), options.mode),
+        settings_of(options),
+        options.mode,
         scheduler=options.scheduler,
         workers=options.workers,
         timeout_s=options.job_timeout,

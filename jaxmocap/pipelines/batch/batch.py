@@ -9,7 +9,7 @@ all of them, and why those that failed did.
 
 import json
 import os
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -46,14 +46,6 @@ TABLES = ("corpus.csv", "failures.json")
 
 
 @dataclass(frozen=True)
-class TrackingOptions:
-    """How recordings are tracked: the options of ``track``."""
-
-    settings: Settings = field(default_factory=Settings)
-    mode: Mode = "own"
-
-
-@dataclass(frozen=True)
 class Job:
     """One recording to be tracked; all that is sent to the process that tracks it.
 
@@ -61,14 +53,16 @@ class Job:
         name: of the recording within the corpus.
         recording: its file, an absolute path.
         folder: for its outputs, an absolute path.
-        options: how it is tracked.
+        settings: of the tracker.
+        mode: see ``track``.
         inputs: all files that are read.
     """
 
     name: str
     recording: Path
     folder: Path
-    options: TrackingOptions
+    settings: Settings
+    mode: Mode
     inputs: tuple[Path, ...] = ()
 
 
@@ -111,7 +105,8 @@ class Batch:
 def track_corpus(
     corpus: str | Path,
     out: str | Path,
-    options: TrackingOptions | None = None,
+    settings: Settings | None = None,
+    mode: Mode = "own",
     *,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -123,7 +118,8 @@ def track_corpus(
     Args:
         corpus: folder; recordings are found at any depth.
         out: gets a folder named as each recording, and both tables at the end or when interrupted.
-        options: how to track; defaults to those of ``track``.
+        settings: of the tracker.
+        mode: see ``track``.
         scheduler: address of a Dask cluster whose machines reach both folders by the same paths,
             or None for processes here.
         workers: processes here; defaults to one per core.
@@ -136,7 +132,7 @@ def track_corpus(
             inputs, or recordings whose outputs would lie within one another.
         OutputError: the tables cannot be written.
     """
-    jobs = jobs_of(corpus, out, options or TrackingOptions())
+    jobs = jobs_of(corpus, out, settings or Settings(), mode)
     folder = OutputFolder(out, "batch", TABLES, [path for job in jobs for path in job.inputs])
     rows: list[CorpusRow] = []
     failures: dict[str, str] = {}
@@ -163,7 +159,7 @@ def track_corpus(
     return Batch(rows, earlier_count, failures, [folder.path / name for name in TABLES])
 
 
-def jobs_of(corpus: str | Path, out: str | Path, options: TrackingOptions) -> list[Job]:
+def jobs_of(corpus: str | Path, out: str | Path, settings: Settings, mode: Mode) -> list[Job]:
     """One for each recording.
 
     Raises:
@@ -175,7 +171,8 @@ def jobs_of(corpus: str | Path, out: str | Path, options: TrackingOptions) -> li
             (name := path.relative_to(root)).as_posix(),
             path,
             folder / name.with_suffix(""),
-            options,
+            settings,
+            mode,
             tuple(readable_inputs(path)),
         )
         for path in find_recordings(corpus, out)
@@ -208,17 +205,16 @@ def track_one(job: Job) -> tuple[CorpusRow, bool] | str:
         Its line of the table, and whether an earlier run had tracked it; or why it failed.
     """
     try:
-        mark = fingerprint(job.recording, plain(job.options))
+        mark = fingerprint(job.recording, plain({"settings": job.settings, "mode": job.mode}))
         if earlier := read_record(job.folder, mark):
             return replace(earlier, recording=job.name), True
         began = perf_counter()
         keep_compiled()
         recording = load_recording(job.recording)
         folder = tracked_folder(job.folder, recording, [RECORD_FILE])
-        settings = job.options.settings
-        motion = track(recording, settings, mode=job.options.mode, progress=False)
+        motion = track(recording, job.settings, mode=job.mode, progress=False)
         with folder.writing() as stage:
-            write_tracked(motion, recording, stage, settings, progress=False)
+            write_tracked(motion, recording, stage, job.settings, progress=False)
             row = row_of(job, motion, perf_counter() - began)
             write_record(stage, mark, row)
         return row, False

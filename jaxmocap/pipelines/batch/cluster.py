@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from time import monotonic, sleep
-from typing import Any, NamedTuple
+from typing import Any
 
 from jaxmocap.formats.files.errors import InputError
 
@@ -40,20 +40,6 @@ LOCAL_CLUSTER: dict[str, Any] = {
     "silence_logs": logging.CRITICAL,
     "memory_limit": 0,
 }
-
-
-class JobResult(NamedTuple):
-    """One job that has ended.
-
-    Attributes:
-        job: as it was given.
-        result: of the function; None where it has none.
-        problem: why it has none; None where it has one.
-    """
-
-    job: Any
-    result: Any
-    problem: str | None
 
 
 @contextmanager
@@ -89,8 +75,10 @@ def cluster_client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
 
 def results_as_completed(
     client: Any, function: Callable, jobs: Sequence[Any], timeout_s: float | None = None
-) -> Iterator[JobResult]:
-    """Every job, in the order in which they end; those left are cancelled when the caller stops.
+) -> Iterator[tuple[Any, Any, str | None]]:
+    """Every job, its result and why it has none, one of which is None, in the order they end.
+
+    Those left are cancelled when the caller stops.
 
     Args:
         client: of the cluster.
@@ -110,9 +98,9 @@ def results_as_completed(
                     continue
                 _, job = left.pop(future.key)
                 if future.status == "finished":
-                    yield JobResult(job, future.result(), None)
+                    yield job, future.result(), None
                 else:
-                    yield JobResult(job, None, _reason(future))
+                    yield job, None, _reason(future)
                 # So that the scheduler forgets it.
                 future.release()
             for key, worker in clock.overdue(left):
@@ -121,7 +109,7 @@ def results_as_completed(
                 # One that cannot be ended is left alone.
                 with suppress(Exception):
                     client.restart_workers([worker], timeout=CONNECT_TIMEOUT_S)
-                yield JobResult(job, None, f"took longer than {timeout_s:g} s (--job-timeout)")
+                yield job, None, f"took longer than {timeout_s:g} s (--job-timeout)"
             sleep(POLL_INTERVAL_S)
     finally:
         client.cancel(futures)

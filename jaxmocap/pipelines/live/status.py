@@ -11,7 +11,7 @@ import sys
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple, TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -43,18 +43,6 @@ LOG_INTERVAL_S = 5.0
 SILENT_S = 0.3
 
 
-class StatusMessage(NamedTuple):
-    """A message.
-
-    Attributes:
-        seconds: since the run began.
-        what: its sentence.
-    """
-
-    seconds: float
-    what: str
-
-
 class LiveStatus:
     """Counts the outputs of a run and prints its messages.
 
@@ -68,8 +56,8 @@ class LiveStatus:
         self._out = sys.stderr if out is None else out
         self._is_terminal = self._out.isatty()
         self.outputs = self.message_count = 0
-        self._first: list[StatusMessage] = []
-        self._newest: deque[StatusMessage] = deque(maxlen=NEWEST_KEPT)
+        self._first: list[dict[str, Any]] = []
+        self._newest: deque[dict[str, Any]] = deque(maxlen=NEWEST_KEPT)
         self._latencies: deque[float] = deque(maxlen=LATENCIES_KEPT)
         self._times: deque[float] = deque(maxlen=LATENCIES_SHOWN)
         self._states: dict[str, str] = {}
@@ -88,8 +76,8 @@ class LiveStatus:
         return self._latencies[-1] / 1e3 if self._latencies else float("nan")
 
     @property
-    def messages(self) -> list[StatusMessage]:
-        """The first and the newest messages."""
+    def messages(self) -> list[dict[str, Any]]:
+        """The first and the newest messages: "seconds" since the run began, "what" it is."""
         return [*self._first, *self._newest]
 
     def set_state(self, now: float, subject: str, state: str) -> None:
@@ -112,10 +100,10 @@ class LiveStatus:
 
     def log(self, now: float, sentence: str) -> None:
         """Print a message with its time."""
-        message = StatusMessage(round(now, 3), shortened(printable(sentence)))
+        message = {"seconds": round(now, 3), "what": shortened(printable(sentence))}
         self.message_count += 1
         (self._first if len(self._first) < FIRST_KEPT else self._newest).append(message)
-        self._print(f"{self._clear()}{now:8.2f} s  {message.what}\n")
+        self._print(f"{self._clear()}{now:8.2f} s  {message['what']}\n")
 
     def _print(self, text: str) -> None:
         # A terminal that is gone, or a log on a full disk, ends no run.
@@ -188,7 +176,7 @@ class LiveStatus:
             "outputs": self.outputs,
             "rate_hz": self.outputs / seconds if seconds > 0 else 0.0,
             "latency_ms": {"median": median, "p99": most, "of": len(self._latencies)},
-            "warnings": [message._asdict() for message in self.messages],
+            "warnings": self.messages,
             "message_count": self.message_count,
         }
 

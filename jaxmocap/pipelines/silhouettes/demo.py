@@ -9,6 +9,7 @@ of a mesh photographs and model as well.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -159,7 +160,7 @@ def photograph_and_model(folder: Path, person: str, seed: int) -> list[Path]:
         write_photographs(stage, load_rig(person, seed=seed), seed)
     files = {name: taken.path / f"{name}.png" for name in PHOTOGRAPHS}
     calibration, model = taken.path / "calibration.toml", model_folder(folder / "model")
-    return write_model(model_from(files, calibration, model.path), model)
+    return model.write(partial(write_model, model_from(files, calibration, model.path)))
 
 
 def tracked_from_truth(

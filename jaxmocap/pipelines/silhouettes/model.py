@@ -9,7 +9,6 @@ the person for other commands and programs, as ``silhouette_person`` has it.
 
 import json
 from collections.abc import Iterable, Mapping
-from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
@@ -135,20 +134,8 @@ def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> Ou
     return OutputFolder(directory, "model", [*FILES, *pictures, *PERSON_FILES], inputs)
 
 
-def write_model(modelled: ModelResult, folder: OutputFolder) -> list[Path]:
-    """Write model, report and pictures.
-
-    Returns:
-        What was written.
-
-    Raises:
-        OutputError: the disk is full; what was there is as it was.
-    """
-    return folder.write(partial(_write, modelled))
-
-
-def _write(modelled: ModelResult, directory: Path) -> list[Path]:
-    """All files into a folder that is there."""
+def write_model(modelled: ModelResult, directory: Path) -> list[Path]:
+    """Write model, report and pictures into a folder that is there; their paths."""
     model = modelled.model
     vertices, faces = joined_meshes([model.trunk.rings, *model.arms])
     files = [directory / "model.npz", directory / "report.json"]
