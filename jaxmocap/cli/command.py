@@ -147,11 +147,6 @@ def charuco_markers(text: str) -> tuple[str, float]:
     return dictionary.strip(), positive_number(side)
 
 
-def add_up(parser: argparse.ArgumentParser, help_text: str) -> None:
-    """The option --up."""
-    parser.add_argument("--up", choices=("z", "y"), help=help_text)
-
-
 # Options that name what is written.
 _OUTPUT_OPTIONS = ("out", "json", "pictures", "target")
 
@@ -197,7 +192,7 @@ def check_report(options: argparse.Namespace) -> None:
 
 def report(options: argparse.Namespace, text: str, figures: dict) -> None:
     """Print the text, and write the figures where --json says; - leaves standard output to them."""
-    from jaxmocap.pipelines.summary import write_figures
+    from jaxmocap.outputs.report import write_figures
 
     if options.json == "-":
         print_lines(text.split("\n"), sys.stderr)

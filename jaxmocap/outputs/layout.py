@@ -58,7 +58,13 @@ def lay_out(
         name="Body",
         eye_controls=_eye(scene),
         background=rrb.Background(color=BACKGROUND, kind=rrb.BackgroundKind.SolidColor),
-        line_grid=_grid(floor),
+        line_grid=rrb.LineGrid3D(
+            floor is not None,
+            spacing=GRID_M,
+            plane=rr.components.Plane3D((0.0, 0.0, 1.0), floor.height_m if floor else 0.0),
+            stroke_width=GRID_WIDTH,
+            color=GRID_COLOUR,
+        ),
         # Within the body; who hides that by the viewer's list of entities may show it.
         overrides={"world/skeleton": rrb.EntityBehavior(visible=False)},
     )
@@ -87,16 +93,6 @@ def lay_out(
         ),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
-    )
-
-
-def _grid(floor: Floor | None) -> rrb.LineGrid3D:
-    return rrb.LineGrid3D(
-        floor is not None,
-        spacing=GRID_M,
-        plane=rr.components.Plane3D((0.0, 0.0, 1.0), floor.height_m if floor else 0.0),
-        stroke_width=GRID_WIDTH,
-        color=GRID_COLOUR,
     )
 
 

@@ -56,14 +56,7 @@ class LiveView:
     """
 
     def __init__(self, url: str, skeleton: Skeleton, cameras: Mapping[str, Camera], pose: Pose):
-        """Connect and lay out.
-
-        Args:
-            url: of the viewer, ``rerun+http://...``.
-            skeleton: of the person.
-            cameras: name -> calibration.
-            pose: about where the person will stand.
-        """
+        """Connect to ``rerun+http://...``, and lay out about where the person will stand."""
         self._skeleton, self._cameras = skeleton, dict(cameras)
         self.problem: str | None = None
         self._stream = rr.RecordingStream("jaxmocap live")

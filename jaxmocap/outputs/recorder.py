@@ -22,6 +22,7 @@ from jaxmocap.geometry.rotations import quaternion_from_matrix
 from jaxmocap.geometry.solids import Solid
 from jaxmocap.outputs.ellipses import Uncertainty
 from jaxmocap.outputs.layout import ANGLES, DEVIATIONS, TIMELINE, WHY, entity_path
+from jaxmocap.outputs.report import SIDES
 from jaxmocap.outputs.scene import BodyScene, Floor
 
 # RGB of the middle, the left and the right of the body: bones, outlines and lines of plots.
@@ -167,11 +168,7 @@ def at_times(times: np.ndarray) -> rr.TimeColumn:
 
 
 def send_recording(path: Path, url: str) -> None:
-    """Send a recording to a viewer, as itself; this process must go on while it loads.
-
-    Args:
-        path: of the .rrd file.
-        url: where the viewer listens.
+    """Send a recording (.rrd) to a viewer, as itself; this process must go on while it loads.
 
     Raises:
         ImportError: the installed rerun-sdk cannot read such files.
@@ -193,7 +190,6 @@ def send_recording(path: Path, url: str) -> None:
     stream.flush()
 
 
-SIDES = ("left", "right")
 # Joints whose angles are shown, as angles.mot names them.
 SHOWN_JOINTS = ("elbow_flex_l", "elbow_flex_r", "knee_flexion_l", "knee_flexion_r")
 # Of a body that has none of these, so many joints.

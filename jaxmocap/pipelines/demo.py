@@ -83,14 +83,7 @@ class Demonstration:
 def demonstrate(
     directory: str | Path, seconds: float = 6.0, seed: int = 0, progress: bool = False
 ) -> Demonstration:
-    """Make a recording, track it, and compare both elbows with the truth.
-
-    Args:
-        directory: is made where missing; the recording goes to ``recording`` in it.
-        seconds: duration.
-        seed: of person, room, strokes and noise.
-        progress: show bars on stderr.
-    """
+    """Make a recording, track it, and compare both elbows with the truth; see ``jaxmocap demo``."""
     if not LEAST_S <= seconds <= MOST_S:
         raise InputError("--seconds", f"found {seconds:g}, expected {LEAST_S:g} to {MOST_S:g}")
     folder = OutputFolder(directory, MOTION, FILES)

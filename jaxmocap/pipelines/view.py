@@ -95,11 +95,7 @@ def open_viewer(path: Path) -> str:
 
 
 def serve_page(path: Path, port: int) -> Viewer:
-    """Serve a recording to a browser, from a process that ends with this one.
-
-    Args:
-        path: of the .rrd file.
-        port: of the page.
+    """Serve a recording (.rrd) to a browser, from a process that ends with this one.
 
     Raises:
         InputError: the port is taken, or the viewer cannot be opened.

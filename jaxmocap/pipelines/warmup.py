@@ -68,10 +68,7 @@ class CompilationCounts:
 def warm_up(recording: Recording, settings: Settings | None = None) -> list[CompilationCounts]:
     """Compile what tracking the recording needs, offline and causally.
 
-    Args:
-        recording: with or without videos; other recordings with as many markers on the same bones
-            and as many cameras need the same programs.
-        settings: of the tracker.
+    Others with as many markers on the same bones and as many cameras need the same programs.
     """
     keep_compiled()
     short = first_half_second(recording)
@@ -85,12 +82,7 @@ def warm_up(recording: Recording, settings: Settings | None = None) -> list[Comp
 
 
 def warm_up_live(setup: LiveSetup, settings: Settings | None = None) -> list[CompilationCounts]:
-    """Compile what a live run needs, with and without ``--smooth``.
-
-    Args:
-        setup: of the run; no device is opened.
-        settings: of the tracker.
-    """
+    """Compile what a live run needs, with and without ``--smooth``; no device is opened."""
     keep_compiled()
     found = []
     for smooth, name in LIVE_NAMES.items():

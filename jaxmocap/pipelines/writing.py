@@ -31,7 +31,7 @@ from jaxmocap.geometry.cameras import stack_cameras
 from jaxmocap.geometry.rows import ComputedRows
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.overlay import write_overlay
-from jaxmocap.outputs.report import write_report
+from jaxmocap.outputs.report import summarise, write_figures
 from jaxmocap.outputs.viewer import Footage, shown_every, write_rerun
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.viewer_frames import (
@@ -91,13 +91,9 @@ def tracked_folder(
     others: Iterable[str] = (),
     inputs: Iterable[Path] = (),
 ) -> OutputFolder:
-    """The folder for a tracked recording's files, checked before any work.
+    """The folder for a tracked recording's files, and others, checked before any work.
 
-    Args:
-        directory: of the outputs.
-        recording: that is tracked.
-        others: names of files that are written besides.
-        inputs: files that are read besides the recording's.
+    ``inputs`` are files that are read besides the recording's.
 
     Raises:
         InputError: it cannot be written to, holds a file that is read, or a file that no earlier
@@ -178,11 +174,9 @@ def write_numbers(
     motion_warnings: list[str] = []
     files = write_motion(motion, folder, surface, picture, motion_warnings.append, formats)
     files.append(folder / "report.json")
-    extra = {
-        "recording": recording.path or recording.name,
-        "warnings": [*warnings, *motion_warnings],
-    }
-    write_report(files[-1], motion, extra)
+    recorded = {"recording": recording.path or recording.name}
+    recorded |= {"warnings": [*warnings, *motion_warnings]}
+    write_figures(summarise(motion) | recorded, files[-1])
     for sentence in motion_warnings:
         warn(sentence)
     return files
@@ -225,19 +219,10 @@ def write_motion(
     warn: Warn = ignore_warning,
     formats: MotionFormats = USUAL_FORMATS,
 ) -> list[Path]:
-    """The motion in every format that others read.
+    """The motion in every format that others read; the files that were written.
 
-    Args:
-        motion: to be written.
-        folder: that is there.
-        surface: motion.glb's skin.
-        picture: its colours.
-        warn: called with a sentence for each file that cannot hold the motion and is left out, or
-            whose angles step, and where recording.rrd will not show every sample.
-        formats: how the files are written.
-
-    Returns:
-        The files that were written.
+    ``warn`` is called with a sentence for each file that cannot hold the motion and is left out, or
+    whose angles step, and where recording.rrd will not show every sample.
     """
     files = [folder / name for name in MOTION_FILES]
     _write_joints(files[0], motion, formats)

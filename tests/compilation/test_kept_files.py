@@ -24,7 +24,7 @@ ON_POSIX = pytest.mark.skipif(
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The cache's folder during a test; afterwards this process keeps what it kept before."""
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(kept_programs, "_warned", set())
+    kept_programs._warn.cache_clear()
     yield tmp_path / "cache"
     monkeypatch.undo()
     keep_compiled()

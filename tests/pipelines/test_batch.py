@@ -25,7 +25,7 @@ from jaxmocap.cli.program import main
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.outputs.report import plain, write_report
+from jaxmocap.outputs.report import plain, summarise, write_figures
 from jaxmocap.pipelines.batch import batch, cluster, corpus
 from jaxmocap.pipelines.batch.batch import (
     Job,
@@ -97,7 +97,7 @@ def here(monkeypatch, tracked):
             yield job, function(job), None
 
     def written(motion, recording, folder, settings, progress):
-        write_report(folder / "report.json", motion)
+        write_figures(summarise(motion), folder / "report.json")
 
     class Nobody:
         def __init__(self, scheduler, workers): ...

@@ -7,7 +7,7 @@ cannot hold.
 import argparse
 from pathlib import Path
 
-from jaxmocap.cli.command import Command, add_up, picture_size, positive_number, report
+from jaxmocap.cli.command import Command, picture_size, positive_number, report
 
 FORMATS_TEXT = """\
 Markers: .c3d .trc .csv. Motions: .npz .bvh .glb .mot; their joints can become markers. What a
@@ -30,8 +30,10 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "opensim is for a .mot: the coordinates of OpenSim's full-body model (Rajagopal 2016), "
         "always Y up",
     )
-    add_up(
-        parser, "vertical axis of the .trc, .c3d or .csv written; default: as it is, Z for joints"
+    parser.add_argument(
+        "--up",
+        choices=("z", "y"),
+        help="vertical axis of the .trc, .c3d or .csv written; default: as it is, Z for joints",
     )
     parser.add_argument(
         "--unit",

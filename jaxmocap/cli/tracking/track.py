@@ -6,7 +6,7 @@ exit code 1 where the body is far off its markers.
 
 import argparse
 
-from jaxmocap.cli.command import Command, add_up, exit_code, positive_number, report
+from jaxmocap.cli.command import Command, exit_code, positive_number, report
 from jaxmocap.cli.recording_options import add_cameras, add_settings, recording_of, settings_of
 
 
@@ -51,7 +51,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         help="write angles_opensim.mot as well: the coordinates of OpenSim's full-body model "
         "(Rajagopal 2016), always Y up",
     )
-    add_up(parser, "vertical axis of joints.trc; default: z")
+    add("--up", choices=("z", "y"), help="vertical axis of joints.trc; default: z")
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -72,7 +72,6 @@ class SenderTable:
         return self.kind(self, body)
 
 
-Argument = str | int | float
 # Bytes of a word, to which OSC aligns everything.
 _WORD = 4
 # Bytes of a bundle's header.
@@ -82,12 +81,8 @@ _HEADER = 16
 class Bundle:
     """A bundle "at once" of messages whose floats, which come last in each, can be changed."""
 
-    def __init__(self, messages: Sequence[tuple[str, Sequence[Argument]]]):
-        """Build it.
-
-        Args:
-            messages: address and arguments of each.
-        """
+    def __init__(self, messages: Sequence[tuple[str, Sequence[str | int | float]]]):
+        """Build it of each message's address and arguments."""
         builder, places, end = OscBundleBuilder(IMMEDIATELY), [], _HEADER
         for address, arguments in messages:
             message = OscMessageBuilder(address)

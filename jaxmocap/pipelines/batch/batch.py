@@ -7,7 +7,6 @@ INPUTS: a folder of recordings. OUTPUTS: a folder per recording as ``track`` wri
 all of them, and why those that failed did.
 """
 
-import json
 import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -20,10 +19,9 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import LIST_NAME, OutputFolder
-from jaxmocap.formats.files.writing import write_text
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.outputs.report import plain
+from jaxmocap.outputs.report import plain, write_figures
 from jaxmocap.pipelines.batch.cluster import cluster_client, results_as_completed
 from jaxmocap.pipelines.batch.corpus import (
     RECORD_FILE,
@@ -115,17 +113,8 @@ def track_corpus(
 ) -> Batch:
     """Track every recording of a folder; what an earlier run did is not done again.
 
-    Args:
-        corpus: folder; recordings are found at any depth.
-        out: gets a folder named as each recording, and both tables at the end or when interrupted.
-        settings: of the tracker.
-        mode: see ``track``.
-        scheduler: address of a Dask cluster whose machines reach both folders by the same paths,
-            or None for processes here.
-        workers: processes here; defaults to one per core.
-        timeout_s: a recording that takes longer fails, seconds; None waits for ever.
-        progress: called with the recordings done and their total; True shows a bar
-            on stderr; None does so on a terminal.
+    The arguments are the options of ``jaxmocap batch``; both tables are written at the end, or when
+    it is interrupted.
 
     Raises:
         InputError: no recordings, no such folder, no scheduler; a folder for outputs that holds
@@ -154,8 +143,7 @@ def track_corpus(
             # Before the cluster is closed, which may take its time.
             with folder.writing() as stage:
                 write_rows(stage / TABLES[0], rows)
-                text = json.dumps(dict(sorted(failures.items())), indent=2, ensure_ascii=False)
-                write_text(stage / TABLES[1], text + "\n")
+                write_figures(dict(sorted(failures.items())), stage / TABLES[1])
     return Batch(rows, earlier_count, failures, [folder.path / name for name in TABLES])
 
 

@@ -44,11 +44,7 @@ LOCAL_CLUSTER: dict[str, Any] = {
 
 @contextmanager
 def cluster_client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
-    """A client of the scheduler at an address, or of processes of this machine's own.
-
-    Args:
-        scheduler: such as ``tcp://10.0.0.1:8786``, or None.
-        workers: processes, where there is no scheduler; defaults to one per core.
+    """A client of the scheduler at an address, or of processes here, one per core unless stated.
 
     Raises:
         InputError: no scheduler answers there, or dask.distributed is not installed.
@@ -78,13 +74,8 @@ def results_as_completed(
 ) -> Iterator[tuple[Any, Any, str | None]]:
     """Every job, its result and why it has none, one of which is None, in the order they end.
 
-    Those left are cancelled when the caller stops.
-
-    Args:
-        client: of the cluster.
-        function: of a job.
-        jobs: to be done.
-        timeout_s: that a job may take once it has begun, seconds; its process is then ended.
+    Those left are cancelled when the caller stops. A job that takes longer than ``timeout_s``
+    seconds once it has begun is ended, with its process.
     """
     from distributed import as_completed
 

@@ -75,12 +75,6 @@ def detect_keypoints(
 
     With markers the person is looked for where the markers' pose is in the image.
 
-    Args:
-        recording: with videos.
-        detector: that finds the points.
-        folder: of the files, one for each camera.
-        progress: called with the frames done and their total; True shows a bar.
-
     Raises:
         InputError: no videos, or a detector that does not work.
     """

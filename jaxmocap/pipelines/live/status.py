@@ -201,15 +201,7 @@ def stream_states(
     now: float,
     places: Sequence[MarkerPlace] = (),
 ) -> Iterator[tuple[str, str]]:
-    """The state of every stream.
-
-    Args:
-        markers: their source.
-        gathering: that makes samples of them.
-        cameras: all of them.
-        now: seconds.
-        places: of the markers.
-    """
+    """The state of every stream at a time, seconds."""
     yield "markers", _markers_state(markers)
     yield "missing", comma_list(gathering.missing(now)) or "none"
     yield from _orientation_states(gathering, places)

@@ -57,15 +57,9 @@ def plan_cameras(
 ) -> CameraPlan:
     """Where cameras are worth most, and what else would help.
 
-    What is expected is what a report would state (``smoothing.uncertainty``): a limb that is lost
-    errs by more.
-
-    Args:
-        recording: whose markers show the movement, and whose cameras stand already; None draws one.
-        required: joints, walls, lens.
-        movement: drawn where there is no recording, one of ``MOTIONS``.
-        height: of that person, metres.
-        progress: see ``track``.
+    The movement is that of the recording's markers, whose cameras stand already, or one of
+    ``MOTIONS`` by somebody of a height, metres. What is expected is what a report would state
+    (``smoothing.uncertainty``): a limb that is lost errs by more.
 
     Raises:
         InputError: a recording without markers, or one that is too short; requirements that

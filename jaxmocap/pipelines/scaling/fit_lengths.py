@@ -44,12 +44,8 @@ def scale_by_recording(
 ) -> LengthsReport:
     """Write the body of the person in a recording, and beside it a picture of the estimates.
 
-    Args:
-        out: subject.toml; the picture has its name, and ends in .png.
-        path: of the recording; its [subject] is where the lengths start from.
-        height: metres, in place of that subject.
-        mass: kilograms.
-        progress: see ``track``.
+    The lengths start from its [subject], or from a height (metres) and a mass (kilograms). The
+    picture is named as ``out`` is, and ends in .png.
 
     Raises:
         InputError: a recording that cannot determine lengths; what ``track`` would refuse.

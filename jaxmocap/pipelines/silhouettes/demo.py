@@ -110,16 +110,7 @@ def demonstrate_silhouettes(
     kind: str = "arm_raises",
     progress: bool = False,
 ) -> SilhouetteDemo:
-    """Make a recording, track it, compare it with the truth, and write it all down.
-
-    Args:
-        directory: is made where missing; the recording goes to ``recording`` in it.
-        seconds: duration.
-        seed: of rooms, movement and noise.
-        person: file of a rigged mesh; a simple person made here squats without it.
-        kind: the mesh's exercise.
-        progress: show bars on stderr.
-    """
+    """Make a recording, track it, compare it with the truth; see ``silhouette demo``."""
     if seconds > MOST_S:
         raise InputError("--seconds", f"found {seconds:g}, expected at most {MOST_S:g}")
     folder = Path(directory)

@@ -41,14 +41,8 @@ def recording_of_video(
 ) -> tuple[Recording, tuple[str, ...]]:
     """Find key points in a video, place its camera above the floor, and write the recording.
 
-    Args:
-        video: of a camera that stands still.
-        height: of the person, metres.
-        fov_deg: field of view along the longer side, degrees; None takes the file's, or else
-            ``USUAL_FOV_DEG``.
-        detector: of the key points.
-        folder: of the recording, is made where missing.
-        progress: called with the frames done and their total; True shows a bar.
+    The height is in metres; the field of view in degrees along the longer side, None takes the
+    file's, or else ``USUAL_FOV_DEG``.
 
     Returns:
         The recording, with key points, and warnings for the user.

@@ -18,9 +18,9 @@ from jaxmocap.capture.timeline import Mode, Timeline, build_timeline
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.refine import StepReport
+from jaxmocap.outputs.report import SIDES
 from jaxmocap.solvers.status import SENTENCES, Status
 
-SIDES = ("left", "right")
 # An image whose brightness varies by less (of 255) shows nothing.
 BLANK_RANGE = 12
 # A frame further away than this many of its video's intervals is not near.

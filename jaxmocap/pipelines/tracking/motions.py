@@ -85,16 +85,7 @@ def motions(
     milliseconds: dict[str, list[float]],
     settings: dict,
 ) -> Tracked:
-    """All samples as arrays, NaN before the first one with a marker.
-
-    Args:
-        model: that was tracked.
-        events: of the recording.
-        first_pass: over them.
-        trajectory: of the events, with deviations.
-        milliseconds: of the stages.
-        settings: for the report.
-    """
+    """All samples as arrays, NaN before the first one with a marker; settings for the report."""
     person = trajectory.person(model.skeleton) if len(trajectory.proportions) else model.skeleton
     # Distances (E, M) of markers from the body, metres; turns (E, 2) of elbows by the video.
     each = trajectory.poses, first_pass.reports.marker_pose, first_pass.markers_world

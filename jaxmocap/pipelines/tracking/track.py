@@ -157,6 +157,9 @@ def track_both(
     # Each camera's estimated rotation against its calibration, a vector in its frame.
     turns = [] if trajectory is None else np.degrees(trajectory.turns_cam).tolist()
     left_out = trajectory and trajectory.left_out
+    people = CALIBRATED_ON["markers" if not used else "causal" if causal else "video"]
+    # Within which a smoothed causal pose is given out.
+    latency = ({"video frames": DELAY_FRAMES} if used else {}) | {"seconds": DELAY_S}
     figures = {
         "recording": recording.path or recording.name,
         "mode": mode,
@@ -167,8 +170,8 @@ def track_both(
         "tracker": tracker.settings,
         "camera_turns_deg": dict(zip(cameras, turns, strict=False)),
         "deviations_without_m": deviations_without(left_out or (), recording.marker_names, cameras),
-        "deviations": {"calibrated_on": _calibrated_on(tracker.settings.smooth, used, causal)},
-        "latency": _longest_wait(bool(used)) if smoother else {},
+        "deviations": {"calibrated_on": people if tracker.settings.smooth else None},
+        "latency": latency if smoother else {},
         "video_frames": int((events.timeline.frame_index >= 0).any(-1).sum()) if used else 0,
         "seconds": {"first pass": passed - began, "second pass": perf_counter() - passed},
     }
@@ -253,18 +256,6 @@ def _low_passed(
     for part, new in zip(poses, filtered, strict=True):
         part[rows] = new
     return poses
-
-
-def _longest_wait(has_video: bool) -> dict[str, float]:
-    """Within which a smoothed causal pose is given out."""
-    return ({"video frames": DELAY_FRAMES} if has_video else {}) | {"seconds": DELAY_S}
-
-
-def _calibrated_on(smooth: bool, videos: Sequence[FrameSource], causal: bool) -> str | None:
-    """On whose recordings the factors of the deviations were chosen; None where there are none."""
-    if not smooth:
-        return None
-    return CALIBRATED_ON["markers" if not videos else "causal" if causal else "video"]
 
 
 def make_tracker(recording: Recording, settings: Settings | None = None) -> HybridTracker:
