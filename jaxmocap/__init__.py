@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from jaxmocap.hybrid.step import State
     from jaxmocap.hybrid.tracker import HybridTracker
     from jaxmocap.pipelines.kept_programs import keep_compiled
-    from jaxmocap.pipelines.tracking.functions import first_pass
+    from jaxmocap.pipelines.tracking.first_pass import first_pass
     from jaxmocap.pipelines.tracking.track import track
     from jaxmocap.smoothing.functions import Events, SmoothMotion
 
@@ -82,7 +82,7 @@ _HOMES = {
     "SmoothMotion": "smoothing.functions",
     "State": "hybrid.step",
     "evaluate": "evaluation.errors",
-    "first_pass": "pipelines.tracking.functions",
+    "first_pass": "pipelines.tracking.first_pass",
     "keep_compiled": "pipelines.kept_programs",
     "landmarks": "hybrid.functions",
     "observe": "hybrid.functions",

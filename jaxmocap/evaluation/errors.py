@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.evaluation.series import high_pass, match, second_difference
+from jaxmocap.evaluation.series import finite_mean, high_pass, match, second_difference
 from jaxmocap.formats.files.errors import InputError, comma_list
 from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.formats.time_series.markers import default_up, read_markers
@@ -146,8 +146,7 @@ class Errors:
     @property
     def mean(self) -> float:
         """Mean over the joints of their mean distances, metres; NaN where there is no data."""
-        means = self.statistics()["mean"]
-        return float(np.nanmean(means)) if np.isfinite(means).any() else float("nan")
+        return finite_mean(self.statistics()["mean"])
 
     def as_dict(self) -> dict:
         """Figures of each joint and their means over the joints, for JSON; NaN becomes None."""
@@ -157,10 +156,7 @@ class Errors:
             name: {key: _plain(values[j]) for key, values in table.items()}
             for j, name in enumerate(self.joints)
         }
-        over_joints = {
-            key: _plain(np.nanmean(values) if np.isfinite(values).any() else np.nan)
-            for key, values in table.items()
-        }
+        over_joints = {key: _plain(finite_mean(values)) for key, values in table.items()}
         return {"joints": joints, "mean_over_joints": over_joints}
 
 
@@ -280,14 +276,8 @@ def evaluate_directory(
     They are those of ``motion.npz``, whose axes are the world's; of ``joints.trc``, Z up, where
     that is missing.
 
-    Args:
-        directory: what ``track --out`` was given.
-        truth_path: the reference's file: markers, or a .bvh or .glb whose joints are compared.
-        pairs: joint name -> the name of its marker in the reference; None for the joints whose
-            names are there as well.
-        up: the reference's vertical axis, "z" or "y" (world = (z, x, y) of the file); None is "y"
-            for .bvh and .glb, else "z".
-        offset: seconds to add to the reference's times; a .bvh always begins at 0.
+    ``pairs`` and ``up`` are as in ``evaluate``; without pairs, joints of the same names in both are
+    compared. ``offset`` is added to the reference's times, seconds; a .bvh always begins at 0.
 
     Raises:
         InputError: a file that is missing or no marker file, an unknown name, no common time.

@@ -53,11 +53,7 @@ def risk_curve(stated: np.ndarray, found: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def plot_reliability(path: str | Path, runs: Mapping[str, Errors]) -> None:
-    """Draw both for each run.
-
-    Args:
-        path: of the picture (.png, .svg, .pdf).
-        runs: name -> errors with deviations; or joint -> errors of that joint.
+    """Draw both for each run, or for each joint's own errors (.png, .svg, .pdf).
 
     Raises:
         ValueError: a run without deviations.

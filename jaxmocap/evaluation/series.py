@@ -49,6 +49,11 @@ def _nearest(series: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return np.where(closer, before, after)
 
 
+def finite_mean(values: np.ndarray) -> float:
+    """Of what is not NaN; NaN where there is nothing."""
+    return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
+
+
 def second_difference(times: np.ndarray, values: np.ndarray) -> np.ndarray:
     """(N - 2, ...) second derivative of (N, ...) values, per second squared.
 

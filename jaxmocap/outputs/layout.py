@@ -43,15 +43,8 @@ def lay_out(
 ) -> rrb.Blueprint:
     """Body to the left, all cameras to the right, two time series below; the rest behind tabs.
 
-    A recording plays from its first frame, again and again; a live run is followed.
-
-    Args:
-        cameras: camera name -> names of its fields.
-        scene: shown from the front left.
-        floor: under it, shown with a grid.
-        series: entities of time series and titles of their views.
-        live: whether data still come.
-        why: whether there is a text ``WHY``.
+    A recording plays from its first frame, again and again; a live run is followed. Cameras have
+    the names of their fields, series those of their views.
     """
     body = rrb.Spatial3DView(
         origin="/world",

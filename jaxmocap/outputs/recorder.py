@@ -71,16 +71,6 @@ def log_body(stream: rr.RecordingStream, scene: BodyScene) -> None:
     send_strips(stream, "world/skeleton", scene.times, strips, rr.LineStrips3D)
 
 
-def log_moment(stream: rr.RecordingStream, scene: BodyScene) -> None:
-    """The pose of the body of ``log_limbs`` at the one time of a scene."""
-    stream.set_time(TIMELINE, duration=float(scene.times[0]))
-    for i, bone in enumerate(scene.tree.bones):
-        placed = rr.Transform3D(translation=scene.near[0, i], mat3x3=scene.R_world_bone[0, i])
-        stream.log(f"world/body/{bone}", placed)
-    strips = np.stack([scene.near[0], scene.far[0]], 1)
-    stream.log("world/skeleton", rr.LineStrips3D.from_fields(strips=strips))
-
-
 def log_pieces(
     stream: rr.RecordingStream, tree: Tree, pieces: Mapping[str, Solid], floor: Floor | None
 ) -> None:

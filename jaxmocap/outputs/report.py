@@ -57,9 +57,7 @@ def summarise(motion: Motion) -> dict:
 def misfit(motion: Motion, least: float = OFF_M) -> str | None:
     """A warning that the body is far off a marker in half of the samples; None if it is not.
 
-    Args:
-        motion: with or without a report.
-        least: metres; beyond ``MISFIT_M`` the motion is not that of the person recorded.
+    By more than ``least``, metres; beyond ``MISFIT_M`` it is not the motion of who was recorded.
     """
     if (report := motion.report) is None:
         return None

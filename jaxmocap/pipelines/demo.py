@@ -21,9 +21,10 @@ from jaxmocap.evaluation.tables import format_table
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.pipelines.summary import frames_per_second
-from jaxmocap.pipelines.tracking.track import make_tracker, track, track_both
+from jaxmocap.pipelines.tracking.track import track, track_both
 from jaxmocap.pipelines.writing import MOTION, MOTION_FILES, write_tracked
 from jaxmocap.synthetic.recording import (
     CAMERA,
@@ -49,14 +50,7 @@ RECORDING_FILES = (
 
 @dataclass(frozen=True)
 class Demonstration:
-    """The demo's results.
-
-    Attributes:
-        motion: by markers and video.
-        markers_only: errors of the elbows without video.
-        with_video: errors of the elbows with it.
-        files: that were written.
-    """
+    """The demo's results: motion, errors of the elbows without video and with it, files."""
 
     motion: Motion
     markers_only: Errors
@@ -97,7 +91,7 @@ def demonstrate(
         person = {"height": HEIGHT_M, "progress": show, "detail": DETAIL}
         written = renderer.submit(write_table_tennis, stage, seconds, seed, **person)
         standing = standing_recording(1)
-        tracker = make_tracker(standing)
+        tracker = HybridTracker.from_recording(standing)
         track(standing, tracker=tracker, progress=False)
         written.result()
     recording = Recording.load(recording_folder.path / "recording.toml")

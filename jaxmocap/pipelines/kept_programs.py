@@ -32,11 +32,7 @@ FILE_MODE = 0o600
 
 
 class PrivateCache:
-    """A folder of sealed files.
-
-    Attributes:
-        folder: that holds the files.
-    """
+    """A folder of sealed files."""
 
     def __init__(self, root: Path, name: str, warn: Callable[[str], None] = lambda _: None):
         """A folder of that name within one of the user's; nothing is made yet.

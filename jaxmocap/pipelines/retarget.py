@@ -135,14 +135,7 @@ PICTURE_FILE = "retargeted.png"
 
 
 class RetargetedMotion(NamedTuple):
-    """A motion before and after it was retargeted.
-
-    Attributes:
-        tracked: as it was tracked.
-        retargeted: as the other body moves.
-        surface: of the other body, or None.
-        picture: a PNG file's content, the surface's colours; or None.
-    """
+    """A motion before and after, the other's surface and its colours, a PNG file's content."""
 
     tracked: Motion
     retargeted: Motion

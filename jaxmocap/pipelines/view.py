@@ -29,13 +29,7 @@ VIEWER_START_TIMEOUT_S = 30.0
 
 
 class Viewer(NamedTuple):
-    """A viewer that is open.
-
-    Attributes:
-        process: of it.
-        url: where it takes data, ``rerun+http://...``.
-        page: what a browser shows, or None for a window.
-    """
+    """A viewer that is open, where it takes data, and the page for a browser; None for a window."""
 
     process: subprocess.Popen
     url: str
@@ -44,10 +38,7 @@ class Viewer(NamedTuple):
     def until_interrupted(self, announce: Callable[[], None]) -> None:
         """Wait for the viewer to end, or for Ctrl-C; whatever comes, the viewer has then ended.
 
-        SIGTERM and what else is raised meanwhile goes on.
-
-        Args:
-            announce: called first, to say where it is open; Ctrl-C ends it, too.
+        ``announce`` says where it is open. SIGTERM and what else is raised meanwhile goes on.
         """
         try:
             with suppress(KeyboardInterrupt):

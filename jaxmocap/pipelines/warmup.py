@@ -19,11 +19,12 @@ from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.toml import read_toml
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.demo import standing_recording
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.live.setup import LiveSetup, load_live
 from jaxmocap.pipelines.live.tracking import LiveTracking
-from jaxmocap.pipelines.tracking.track import make_tracker, track
+from jaxmocap.pipelines.tracking.track import track
 
 # Seconds of a recording that are tracked: enough frames that the smoother gives out poses.
 TRACKED_S = 0.5
@@ -72,7 +73,7 @@ def warm_up(recording: Recording, settings: Settings | None = None) -> list[Comp
     """
     keep_compiled()
     short = first_half_second(recording)
-    tracker = make_tracker(short, settings)
+    tracker = HybridTracker.from_recording(short, settings)
     found = []
     for mode, name in MODE_NAMES.items():
         with counting_compilations(name) as counts:

@@ -53,7 +53,8 @@ def test_what_is_tracked_is_the_first_half_second_that_has_both():
 
 def test_the_command_tracks_both_ways_and_says_what_it_took(monkeypatch, capsys):
     asked = []
-    monkeypatch.setattr(warmup, "make_tracker", lambda recording, settings: settings.refine)
+    made = lambda recording, settings: settings.refine  # noqa: E731
+    monkeypatch.setattr(warmup.HybridTracker, "from_recording", made)
     monkeypatch.setattr(
         warmup,
         "track",

@@ -60,17 +60,19 @@ def _run(options: argparse.Namespace) -> int:
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.summary import figures, misfit, summary
     from jaxmocap.pipelines.tracking.track import track_both
-    from jaxmocap.pipelines.writing import MotionFormats, tracked_folder, write_outputs
+    from jaxmocap.pipelines.writing import OPENSIM_FILE, tracked_folder, write_outputs
 
     keep_compiled()
     settings, recording = settings_of(options), recording_of(options)
     mode = options.mode or ("nearest" if options.paper else "own")
-    formats = MotionFormats(options.up or "z", options.names)
     # Whether the folder can be written to, before any work.
-    tracked_folder(options.out, recording, formats.more_files)
+    tracked_folder(options.out, recording, [OPENSIM_FILE] if options.names else [])
     motion = track_both(recording, settings, mode=mode, progress=True, why=options.why).motion
     warnings = exchanged_labels(recording)
-    files = write_outputs(motion, recording, options.out, settings, True, warnings.append, formats)
+    files = write_outputs(
+        motion, recording, options.out, settings, True, warnings.append,
+        options.up or "z", opensim=options.names is not None,
+    )  # fmt: skip
     given = motion, files, warnings
     report(options, summary(*given), figures(*given))
     problem = misfit(motion, MISFIT_M)

@@ -66,14 +66,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Batch:
-    """The results of a corpus.
-
-    Attributes:
-        rows: of the recordings tracked.
-        earlier_count: how many of them an earlier run had tracked.
-        failures: recording -> reason.
-        files: that were written besides the recordings' own.
-    """
+    """The results of a corpus; ``failures`` are recordings and why they failed."""
 
     rows: list[CorpusRow]
     earlier_count: int

@@ -53,14 +53,7 @@ class Detector(NamedTuple):
 
 
 class DetectedVideo(NamedTuple):
-    """What was found in one video.
-
-    Attributes:
-        camera: its name.
-        file: with the key points; None where nobody was found.
-        frames: of the video.
-        found: in how many of them somebody was found.
-    """
+    """In how many frames of a camera's video somebody was found; the file, None without any."""
 
     camera: str
     file: Path | None

@@ -87,13 +87,7 @@ class ReachState:
 
 
 class Live:
-    """One live run.
-
-    Attributes:
-        status: messages and figures of the run.
-        tracking: the tracker.
-        recording: on disk, or None.
-    """
+    """One live run."""
 
     def __init__(
         self,

@@ -44,12 +44,7 @@ SILENT_S = 0.3
 
 
 class LiveStatus:
-    """Counts the outputs of a run and prints its messages.
-
-    Attributes:
-        outputs: number of poses that were sent.
-        message_count: number of messages.
-    """
+    """Counts the outputs of a run and prints its messages."""
 
     def __init__(self, out: TextIO | None = None):
         """Write to a stream; standard error by default."""
@@ -118,10 +113,6 @@ class LiveStatus:
         median, most = np.percentile(newest, [50, 99])
         return float(median), float(most)
 
-    def rate(self, now: float) -> float:
-        """Poses that were sent within the last second."""
-        return float(sum(now - time <= 1.0 for time in self._times))
-
     def update_line(
         self,
         now: float,
@@ -146,7 +137,7 @@ class LiveStatus:
         latency = f"latency {median:.1f} ms, 99 % {most:.1f} ms" if np.isfinite(median) else ""
         shown = [
             "" if is_ready else f"compiling {now:.0f} s",
-            f"{self.rate(now):3.0f} /s",
+            f"{sum(now - time <= 1.0 for time in self._times):3.0f} /s",
             latency,
             "dropped " + ", ".join(f"{count} {what}" for what, count in dropped.items()),
             "age " + ", ".join(f"{short_name(name)} {_age(age)}" for name, age in ages.items()),

@@ -43,9 +43,9 @@ def _draw_room(figure, floor, plan: CameraPlan) -> None:
         [-left, -right, -right, -left, -left], [behind, behind, ahead, ahead, behind],
         color="#888888", linewidth=1.2,
     )  # fmt: skip
-    possible = np.isfinite(errors)
+    tried, possible = np.stack([places.ahead, places.left], 1), np.isfinite(errors)
     points = floor.scatter(
-        -places.left[possible], places.ahead[possible], c=100 * errors[possible],
+        -tried[possible, 1], tried[possible, 0], c=100 * errors[possible],
         cmap=COLOURMAP, s=70, zorder=2,
     )  # fmt: skip
     label = f"{', '.join(plan.joints)}, one camera there [cm]"

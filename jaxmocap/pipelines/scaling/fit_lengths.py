@@ -21,11 +21,12 @@ from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.appearance.learned import ROWS
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.recordings.subject import write_subject
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.scaling.lengths_report import LengthsReport, plot_lengths
-from jaxmocap.pipelines.tracking.events import RecordingEvents
+from jaxmocap.pipelines.tracking.events import RecordingEvents, open_recording
 from jaxmocap.pipelines.tracking.first_pass import scanned
-from jaxmocap.pipelines.tracking.track import make_tracker, open_recording, with_sight_lines
+from jaxmocap.pipelines.tracking.track import with_sight_lines
 from jaxmocap.smoothing.batch import FINELY, solve_recording
 
 # Hands that move less than this about the head (RMS, metres) show too few postures.
@@ -66,7 +67,7 @@ def scale_by_recording(
 def fit_recording(recording: Recording, progress: Progress | bool | None = None) -> LengthsFit:
     """Lengths and girths with which a recording's motion costs least; see ``fitting.lengths``."""
     _check_recording(recording)
-    tracker, clock = make_tracker(recording), Clock(False)
+    tracker, clock = HybridTracker.from_recording(recording), Clock(False)
     with progress_bar("fitting lengths", progress) as show:
         opened = open_recording(recording)
         events = RecordingEvents.of(opened.recording, opened.videos, "own", opened.cleaning)

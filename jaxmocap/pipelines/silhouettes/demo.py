@@ -62,15 +62,7 @@ JOINTS = {
 
 @dataclass(frozen=True)
 class SilhouetteDemo:
-    """What the demo shows.
-
-    Attributes:
-        motion: by silhouettes.
-        errors: of the joints' places.
-        bend_errors_deg: hinge -> mean error of how far it is bent, degrees.
-        before: both errors without the person's own model, where there is one.
-        files: that were written.
-    """
+    """What the demo shows: errors of joints and of hinges' bends, and both before the model."""
 
     motion: Motion
     errors: Errors
@@ -136,7 +128,7 @@ def demonstrate_silhouettes(
         written = write_into(result, recording, stage, progress, own)
         runs = [errors] if before is None else [before[0], errors]
         named: dict[str, Errors] = dict(zip(MODEL_RUNS, runs, strict=False))
-        plot_joint_errors(stage / PLOT_FILE, named, "Position errors")
+        plot_joint_errors(stage / PLOT_FILE, named)
         return [*written, stage / PLOT_FILE]
 
     files += outputs.write(write)

@@ -38,13 +38,7 @@ PERSON_FILES = (SUBJECT, SURFACE, TEXTURE, "model.glb", "person.png")
 
 
 class Person(NamedTuple):
-    """Somebody's body.
-
-    Attributes:
-        skeleton: their bones.
-        surface: around them.
-        picture: a PNG file's content, the surface's colours; None without one.
-    """
+    """Somebody's body; the picture, a PNG file's content, is the surface's colours."""
 
     skeleton: Skeleton
     surface: Surface

@@ -71,13 +71,7 @@ class Masks(NamedTuple):
 
 
 class SilhouetteResult(NamedTuple):
-    """A recording, tracked by silhouettes.
-
-    Attributes:
-        motion: with a report.
-        masks: camera -> what was segmented.
-        surface: of the person, as the last pass had it.
-    """
+    """A recording, tracked by silhouettes, and the person's surface as the last pass had it."""
 
     motion: Motion
     masks: dict[str, Masks]

@@ -31,12 +31,7 @@ EVENTS_A_CALL = 64
 
 
 class Tracked(NamedTuple):
-    """One run over a recording, twice.
-
-    Attributes:
-        motion: by markers and video.
-        markers_only: the same steps without the video.
-    """
+    """One run over a recording: the motion, and that of the same steps without the video."""
 
     motion: Motion
     markers_only: Motion
