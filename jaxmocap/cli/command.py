@@ -1,8 +1,8 @@
 """What a command of the command line is, and how the values of its options are read.
 
-INPUTS: none; the text of an option. OUTPUTS: Command records, one in each file of the rooms below;
-the ``type`` functions of argparse: a value, ArgumentTypeError where it is none;
-what commands print and where they write their figures.
+INPUTS: none; the text of an option. OUTPUTS: what the files of the rooms below have; the ``type``
+functions of argparse: a value, ArgumentTypeError where it is none; what commands print and where
+they write their figures.
 """
 
 import argparse
@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import Any, Protocol, TextIO
 
 from jaxmocap.formats.files.errors import InputError, printable, shortened
 from jaxmocap.formats.files.output_folder import refuse_outputs
@@ -24,24 +24,23 @@ MOST_DIGITS = 9
 LARGEST_PORT = 65_535
 
 
-class Command(NamedTuple):
-    """One command.
+class Command(Protocol):
+    """A command's module, which has its name: one line of the help, a command line of it."""
 
-    Attributes:
-        name: as it is typed.
-        purpose: one line of the help.
-        run: runs it with the parsed options; an exit code, or None for 0.
-        add_options: adds its options to a parser.
-        example: a command line of it.
-        reports_figures: whether it takes --json, a file for its figures.
-    """
+    __name__: str
+    PURPOSE: str
+    EXAMPLE: str
 
-    name: str
-    purpose: str
-    run: Callable[[argparse.Namespace], int | None]
-    add_options: Callable[[argparse.ArgumentParser], None]
-    example: str
-    reports_figures: bool = True
+    def add_options(self, parser: argparse.ArgumentParser, /) -> None:
+        """Add its options to a parser."""
+
+    def run(self, options: argparse.Namespace, /) -> int | None:
+        """Run it with the parsed options; an exit code, or None for 0."""
+
+
+def name_of(command: Command) -> str:
+    """As it is typed."""
+    return command.__name__.rpartition(".")[2]
 
 
 def positive_number(text: str) -> float:

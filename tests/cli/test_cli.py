@@ -10,6 +10,7 @@ import pytest
 from small_recording import SAMPLES, write_small_recording
 
 from jaxmocap.cli import program as cli
+from jaxmocap.cli.command import name_of
 from jaxmocap.cli.program import COMMANDS, GROUPS, main
 from jaxmocap.formats.files.errors import InputError, OutputError
 from jaxmocap.formats.files.output_folder import OutputFolder
@@ -149,12 +150,8 @@ def test_compiled_programs_are_kept_where_the_environment_says(monkeypatch, tmp_
 @pytest.mark.parametrize(
     ("words", "example"),
     [
-        *(([each.name], each.example) for each in COMMANDS),
-        *(
-            ([name, kind.name], kind.example)
-            for name, (_, kinds) in GROUPS.items()
-            for kind in kinds
-        ),
+        *(([name_of(each)], each.EXAMPLE) for each in COMMANDS),
+        *(([name, name_of(k)], k.EXAMPLE) for name, of in GROUPS.items() for k in of.COMMANDS),
     ],
 )
 def test_every_command_helps_with_an_example(words, example, capsys):

@@ -17,6 +17,7 @@ from held_devices import DEVICES, pivoting
 from small_recording import write_small_recording
 
 from jaxmocap.calibration.extrinsics import board_to_world
+from jaxmocap.cli.command import name_of
 from jaxmocap.cli.program import COMMANDS, GROUPS, main
 from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
 from jaxmocap.formats.recordings.recording import Recording, write_recording
@@ -30,8 +31,10 @@ from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import write_photographs
 from jaxmocap.synthetic.recording import write_table_tennis
 
-EXAMPLES = {command.name: command.example for command in COMMANDS} | {
-    f"{group} {kind.name}": kind.example for group, (_, kinds) in GROUPS.items() for kind in kinds
+EXAMPLES = {name_of(command): command.EXAMPLE for command in COMMANDS} | {
+    f"{group} {name_of(kind)}": kind.EXAMPLE
+    for group, kinds in GROUPS.items()
+    for kind in kinds.COMMANDS
 }
 # In turn, in one folder; and the exit code of each: 24 samples determine no video's offset.
 SHORT = {

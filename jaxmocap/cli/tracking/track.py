@@ -6,11 +6,14 @@ exit code 1 where the body is far off its markers.
 
 import argparse
 
-from jaxmocap.cli.command import Command, exit_code, positive_number, report
+from jaxmocap.cli.command import exit_code, positive_number, report
 from jaxmocap.cli.recording_options import add_cameras, add_settings, recording_of, settings_of
 
+PURPOSE = "track a recording"
+EXAMPLE = "jaxmocap track recording.toml --out tracked"
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+
+def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("recording", metavar="RECORDING.toml")
     add("--out", metavar="DIR", required=True, help="where to write")
@@ -54,7 +57,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add("--up", choices=("z", "y"), help="vertical axis of joints.trc; default: z")
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     from jaxmocap.capture.checks.sides import exchanged_labels
     from jaxmocap.outputs.report import MISFIT_M
     from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -77,12 +80,3 @@ def _run(options: argparse.Namespace) -> int:
     report(options, summary(*given), figures(*given))
     problem = misfit(motion, MISFIT_M)
     return exit_code(options, [problem] if problem else [])
-
-
-COMMAND = Command(
-    name="track",
-    purpose="track a recording",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap track recording.toml --out tracked",
-)

@@ -9,13 +9,16 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from jaxmocap.cli.command import Command, exit_code, positive_number, report
+from jaxmocap.cli.command import exit_code, positive_number, report
 from jaxmocap.cli.detector_options import MEDIAPIPE, add_detector, detector_of
+
+PURPOSE = "track a person in a video, by the height alone"
+EXAMPLE = "jaxmocap video clip.mp4 --height 1.75 --out tracked --python mp/bin/python"
 
 FOLDER = "recording"
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("video", metavar="VIDEO", help="of a camera that stands still, of one person")
     add("--height", metavar="M", type=positive_number, required=True, help="of the person, metres")
@@ -30,7 +33,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add_detector(parser, MEDIAPIPE)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.silhouettes.keypoints import lost_sentences
     from jaxmocap.pipelines.silhouettes.track import track_silhouettes
@@ -52,12 +55,3 @@ def _run(options: argparse.Namespace) -> int:
     given = followed.motion, [out / FOLDER / RECORDING, *files], warnings
     report(options, summary(*given), figures(*given))
     return exit_code(options, lost_sentences(followed.motion))
-
-
-COMMAND = Command(
-    name="video",
-    purpose="track a person in a video, by the height alone",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap video clip.mp4 --height 1.75 --out tracked --python mp/bin/python",
-)
