@@ -34,7 +34,6 @@ from jaxmocap.hybrid.refine import Solved
 from jaxmocap.hybrid.settings import Settings, SimplexSettings
 from jaxmocap.hybrid.step import SOLVE
 from jaxmocap.hybrid.tracker import HybridTracker, State
-from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.reference.hybrid import ik as reference_ik
 from jaxmocap.reference.hybrid import pipeline
 from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
@@ -201,7 +200,7 @@ def against_reference(footage: Footage, quick: bool) -> Iterator[Metric]:
 
 def inverse_kinematics(recording: Recording, solves: int) -> Iterator[Metric]:
     """Algorithm 1, jitted in float32 and in NumPy."""
-    tracker = make_tracker(recording, Settings(refine="none"))
+    tracker = HybridTracker.from_recording(recording, Settings(refine="none"))
     model, settings = tracker.model, tracker.settings.ik
     # For one person: handing over a model's arrays takes as long as an iteration.
     solve = jax.jit(partial(paper_ik.reach, model, settings))
@@ -236,7 +235,7 @@ def full_frames(recording: Recording) -> Iterator[Metric]:
     """The paper's own way, ours and the reference's; both get the same fields of the image."""
     few = replace(SimplexSettings(), iterations=FEW_STEPS)
     small = replace(Settings.paper(), region=REGION, simplex=few)
-    tracker = make_tracker(recording, small)
+    tracker = HybridTracker.from_recording(recording, small)
     video = open_video(recording.videos[0])
     rows = np.searchsorted(recording.times, video.times)
     state, ours, theirs = tracker.init(recording.positions_world[0]), [], []

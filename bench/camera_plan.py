@@ -23,7 +23,7 @@ from jaxmocap.body.skeleton import ELBOWS as ELBOW_ROWS
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.calibration.fitting.camera_plan.expected import of_markers, with_camera
 from jaxmocap.calibration.fitting.camera_plan.placement import mean_deviation
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import evaluate
 from jaxmocap.evaluation.plots import new_panels, save_figure
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import Camera

@@ -25,8 +25,7 @@ from jaxmocap.body.motion import UNDETERMINED_M, Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.capture.timeline import Mode
-from jaxmocap.evaluation.errors import Errors, interval_coverage
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import Errors, evaluate, interval_coverage
 from jaxmocap.evaluation.reliability import plot_reliability, risk_curve, stated_and_found
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc

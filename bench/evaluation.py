@@ -21,8 +21,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.timeline import Mode
-from jaxmocap.evaluation.errors import Errors
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import Errors, evaluate
 from jaxmocap.evaluation.series import sample_step, second_difference
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers

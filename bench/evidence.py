@@ -34,7 +34,7 @@ from jaxmocap.capture.keypoints import open_keypoints
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.compilation.clock import Clock
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import evaluate
 from jaxmocap.evidence.appearance.learned import ROWS, Drawing, learn_appearance
 from jaxmocap.evidence.edges import EdgeEvidence
 from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
@@ -51,7 +51,7 @@ from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned
 from jaxmocap.pipelines.tracking.motions import Tracked, motions, unsmoothed
-from jaxmocap.pipelines.tracking.track import lines_at_events, make_tracker, track
+from jaxmocap.pipelines.tracking.track import lines_at_events, track
 from jaxmocap.smoothing.batch import CameraFrames, smooth_recording
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
 
@@ -175,7 +175,8 @@ class FirstRun:
     def through(cls, recording: Recording) -> "FirstRun":
         """Track it."""
         videos, _ = open_footage(recording)
-        tracker, events = make_tracker(recording), RecordingEvents.of(recording, videos, "own")
+        tracker = HybridTracker.from_recording(recording)
+        events = RecordingEvents.of(recording, videos, "own")
         with forward_readers(videos) as readers:
             first = scanned(events, tracker, readers, lambda done, total: None, Clock())
         return cls(recording, tracker, videos, events, first)

@@ -34,7 +34,7 @@ from jaxmocap.hybrid.observe import edge_fields
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import REFINE, SOLVE
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.pipelines.tracking.track import make_tracker, track
+from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother
 
 ImageAt = Callable[[int], np.ndarray | None]
@@ -154,14 +154,14 @@ def measure(footage: Footage, quick: bool) -> Iterator[Metric]:
     def chain(frame: int) -> object:
         return image_chain(crops[frame])
 
-    tracker = make_tracker(footage.recording)
+    tracker = HybridTracker.from_recording(footage.recording)
     yield from starting(tracker, footage)
     causal(tracker, footage, footage.images.__getitem__, chain)
     settle_garbage()
     pace = causal(tracker, footage, footage.images.__getitem__, chain)
     yield from at_one_size("640x480", pace)
     # The tracker's own loop refines at every frame; smoothed, it is asked at some of them.
-    alone = make_tracker(footage.recording, replace(tracker.settings, smooth=False))
+    alone = HybridTracker.from_recording(footage.recording, replace(tracker.settings, smooth=False))
     causal(alone, footage, footage.images.__getitem__, chain)
     loop = causal(alone, footage, footage.images.__getitem__, chain)
     yield from over_chain(pace, loop)
@@ -242,7 +242,7 @@ def at_all_sizes(footage: Footage) -> Iterator[Metric]:
     for width, height in SIZES:
         size = f"{width}x{height}"
         larger = at_size(footage, width, height)
-        tracker = make_tracker(larger.recording)
+        tracker = HybridTracker.from_recording(larger.recording)
         # The smoother's grids are as large as the images: the first way through compiles.
         causal(tracker, larger, larger.images.__getitem__)
         if (width, height) != SIZES[0]:
@@ -270,7 +270,7 @@ def otherwise(footage: Footage, ways: list) -> Iterator[Metric]:
     """Frame by frame without smoothing: markers only, and refined by gradients."""
     for refine in ways:
         settings = replace(Settings(), refine=refine, smooth=False)
-        tracker = make_tracker(footage.recording, settings)
+        tracker = HybridTracker.from_recording(footage.recording, settings)
         image_at = footage.images.__getitem__
         causal(tracker, footage, image_at)
         pace = causal(tracker, footage, image_at)

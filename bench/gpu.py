@@ -40,7 +40,6 @@ from jaxmocap.hybrid.tracker import HybridTracker, Images, State
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette_grid import Grid
 from jaxmocap.pipelines.kept_programs import keep_compiled
-from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.reference import kinematics as reference
 from jaxmocap.smoothing.linearise import views_fit
 
@@ -71,7 +70,7 @@ def parts(footage: Footage, sizes: Sequence[int]) -> Iterator[tuple[str, Work]]:
     skeleton = Skeleton.human(1.75)
     for size in sizes:
         yield f"kinematics of {size} poses", kinematics(skeleton, size)
-    tracker = make_tracker(footage.recording, Settings(smooth=False))
+    tracker = HybridTracker.from_recording(footage.recording, Settings(smooth=False))
     for size in sizes:
         yield f"solve, {size} recordings of {EVENTS} events", solving(tracker, footage, size)
     for size in sizes:
@@ -118,7 +117,7 @@ def refining(tracker: HybridTracker, footage: Footage, size: int) -> Work:
 
 def rasters(footage: Footage, size: int) -> Work:
     """One body drawn over pictures of noise, in so many poses."""
-    tracker = make_tracker(footage.recording)
+    tracker = HybridTracker.from_recording(footage.recording)
     model, state = tracker.model, tracker.init(footage.recording.positions_world[0])
     rng = np.random.default_rng(0)
 

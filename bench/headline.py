@@ -23,10 +23,10 @@ from bench.figures import Metric
 from bench.frame_rate import Pace, causal
 from bench.rival_detector import detector
 from jaxmocap.capture.footage import forward_readers, open_footage
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import evaluate
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.pipelines.tracking.track import make_tracker, track
+from jaxmocap.pipelines.tracking.track import track
 
 # Seconds of the stream, of which the first are left out, and of each recording that is judged.
 STREAM_S, FIRST_S, CLIP_S = 32.0, 3.0, 6.0
@@ -49,7 +49,7 @@ def measure(
     """
     stream = film(folder / "stream", STREAM_S)
     large = at_size(stream, WIDTH, HEIGHT)
-    tracker = make_tracker(large.recording)
+    tracker = HybridTracker.from_recording(large.recording)
     yield from _live(tracker, large)
     if detector_python is None:
         print("ours_over_detector: left out, --detector-python names no environment", flush=True)
@@ -111,7 +111,7 @@ def _over_detector(tracker: HybridTracker, large: Footage, python: str) -> Itera
 def _offline(stream: Footage) -> Iterator[Metric]:
     """The default over the whole recording, once its programs are there."""
     first = stream.first(30)
-    tracker = make_tracker(stream.recording)
+    tracker = HybridTracker.from_recording(stream.recording)
     track(first.recording, tracker=tracker)
     watch = Stopwatch()
     track(stream.recording, tracker=tracker)

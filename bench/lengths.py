@@ -23,12 +23,13 @@ from bench.clips import ELBOWS
 from bench.figures import Metric, aligned, write_json
 from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import WINTER, Skeleton
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import evaluate
 from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.pipelines.scaling.fit_lengths import fit_recording
-from jaxmocap.pipelines.tracking.track import make_tracker, track
+from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.synthetic.movements.motions import STANDING, Performance, spline_through
 from jaxmocap.synthetic.people.figure import Figure, Posture
 from jaxmocap.synthetic.recording import write_performance
@@ -201,7 +202,7 @@ def logarithms(person: Skeleton, stated: Skeleton) -> np.ndarray:
 
 def _elbows(recording: Recording, body: Skeleton, where: Path) -> float:
     own = replace(recording, skeleton=body)
-    motion = track(own, tracker=make_tracker(own), progress=True)
+    motion = track(own, tracker=HybridTracker.from_recording(own), progress=True)
     return evaluate(motion, where / "truth.trc", {name: name for name in ELBOWS}).mean
 
 

@@ -46,7 +46,7 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints, posed
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import open_video
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import evaluate
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.geometry.cameras import project

@@ -22,8 +22,7 @@ from bench.figures import Metric, aligned, write_json
 from bench.walkers import MOVEMENTS, as_toml, learned, walks
 from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.capture.timeline import Mode
-from jaxmocap.evaluation.errors import interval_coverage
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import evaluate, interval_coverage
 from jaxmocap.evaluation.series import second_difference
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc

@@ -40,7 +40,6 @@ from jaxmocap.hybrid.step import SOLVE
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.tracking.events import RecordingEvents
-from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.solvers.status import Status
 
 GRADIENTS = {
@@ -274,7 +273,7 @@ def main() -> None:
     keep_compiled()
     for path in map(Path, options.recordings):
         recording = Recording.load(path)
-        tracker = make_tracker(recording)
+        tracker = HybridTracker.from_recording(recording)
         given = list(frames(recording, tracker, path.with_name("truth.trc")))[:: options.every]
         print(f"{path.parent.name}/{path.stem}, {len(given)} frames, elbows' distance, cm")
         print(compare(tracker, given, options.budget), flush=True)

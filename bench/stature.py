@@ -14,7 +14,7 @@ import numpy as np
 
 from bench import command, kept
 from bench.figures import Metric, aligned, write_json
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import evaluate
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.recordings.recording import Recording, write_recording
 from jaxmocap.formats.time_series.csv import write_csv

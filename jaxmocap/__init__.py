@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from jaxmocap.body.motion import Motion, Report
     from jaxmocap.body.pose import Pose
     from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-    from jaxmocap.evaluation.motions import evaluate
+    from jaxmocap.evaluation.errors import evaluate
     from jaxmocap.formats.files.errors import InputError
     from jaxmocap.formats.recordings.recording import Recording
     from jaxmocap.geometry.cameras import Camera
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from jaxmocap.hybrid.step import State
     from jaxmocap.hybrid.tracker import HybridTracker
     from jaxmocap.pipelines.kept_programs import keep_compiled
-    from jaxmocap.pipelines.tracking.functions import first_pass
+    from jaxmocap.pipelines.tracking.first_pass import first_pass
     from jaxmocap.pipelines.tracking.track import track
     from jaxmocap.smoothing.functions import Events, SmoothMotion
 
@@ -81,8 +81,8 @@ _HOMES = {
     "Skeleton": "body.skeleton",
     "SmoothMotion": "smoothing.functions",
     "State": "hybrid.step",
-    "evaluate": "evaluation.motions",
-    "first_pass": "pipelines.tracking.functions",
+    "evaluate": "evaluation.errors",
+    "first_pass": "pipelines.tracking.first_pass",
     "keep_compiled": "pipelines.kept_programs",
     "landmarks": "hybrid.functions",
     "observe": "hybrid.functions",

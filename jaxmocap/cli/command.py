@@ -1,8 +1,8 @@
 """What a command of the command line is, and how the values of its options are read.
 
-INPUTS: none; the text of an option. OUTPUTS: Command records, one in each file of the rooms below;
-the ``type`` functions of argparse: a value, ArgumentTypeError where it is none;
-what commands print and where they write their figures.
+INPUTS: none; the text of an option. OUTPUTS: what the files of the rooms below have; the ``type``
+functions of argparse: a value, ArgumentTypeError where it is none; what commands print and where
+they write their figures.
 """
 
 import argparse
@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import Any, Protocol, TextIO
 
 from jaxmocap.formats.files.errors import InputError, printable, shortened
 from jaxmocap.formats.files.output_folder import refuse_outputs
@@ -24,72 +24,64 @@ MOST_DIGITS = 9
 LARGEST_PORT = 65_535
 
 
-class Command(NamedTuple):
-    """One command.
+class Command(Protocol):
+    """A command's module, which has its name: one line of the help, a command line of it."""
 
-    Attributes:
-        name: as it is typed.
-        purpose: one line of the help.
-        run: runs it with the parsed options; an exit code, or None for 0.
-        add_options: adds its options to a parser.
-        example: a command line of it.
-        reports_figures: whether it takes --json, a file for its figures.
-    """
+    __name__: str
+    PURPOSE: str
+    EXAMPLE: str
 
-    name: str
-    purpose: str
-    run: Callable[[argparse.Namespace], int | None]
-    add_options: Callable[[argparse.ArgumentParser], None]
-    example: str
-    reports_figures: bool = True
+    def add_options(self, parser: argparse.ArgumentParser, /) -> None:
+        """Add its options to a parser."""
+
+    def run(self, options: argparse.Namespace, /) -> int | None:
+        """Run it with the parsed options; an exit code, or None for 0."""
+
+
+def name_of(command: Command) -> str:
+    """As it is typed."""
+    return command.__name__.rpartition(".")[2]
 
 
 def positive_number(text: str) -> float:
     """A number above 0."""
-    value = _number(text)
-    if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"found {text}, expected a positive number")
-    return value
+    return _value(text, float, lambda value: 0 < value < math.inf, "a positive number")
 
 
 def finite_number(text: str) -> float:
     """Any number but infinity and NaN."""
-    if not abs(value := _number(text)) < math.inf:
-        raise argparse.ArgumentTypeError(f"found {text}, expected a finite number")
-    return value
-
-
-def _number(text: str) -> float:
-    """NaN where it is no number."""
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
+    return _value(text, float, math.isfinite, "a finite number")
 
 
 def whole_number(text: str) -> int:
     """A whole number from 0 on."""
-    if not _is_whole(text):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number from 0 on")
-    return int(text)
+    return _value(text, _whole, lambda value: True, "a whole number from 0 on")
 
 
 def positive_whole_number(text: str) -> int:
     """A whole number from 1 on."""
-    if not (_is_whole(text) and int(text)):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number above 0")
-    return int(text)
+    return _value(text, _whole, lambda value: value > 0, "a whole number above 0")
 
 
 def port_number(text: str) -> int:
     """A TCP port."""
-    if not (_is_whole(text) and int(text) <= LARGEST_PORT):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a port, 0 to {LARGEST_PORT}")
+    expected = f"a port, 0 to {LARGEST_PORT}"
+    return _value(text, _whole, lambda value: value <= LARGEST_PORT, expected)
+
+
+def _value(
+    text: str, read: Callable[[str], Any], fits: Callable[[Any], bool], expected: str
+) -> Any:
+    with suppress(ValueError):
+        if fits(value := read(text)):
+            return value
+    raise argparse.ArgumentTypeError(f"found {text}, expected {expected}")
+
+
+def _whole(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and len(text) <= MOST_DIGITS):
+        raise ValueError
     return int(text)
-
-
-def _is_whole(text: str) -> bool:
-    return text.isascii() and text.isdecimal() and len(text) <= MOST_DIGITS
 
 
 def names(text: str) -> list[str]:
@@ -128,18 +120,21 @@ def pair(expected: str) -> Callable[[str], tuple[str, str]]:
 
 def inner_corners(text: str) -> tuple[int, int]:
     """COLUMNSxROWS of a chessboard's inner corners."""
-    columns, _, rows = text.lower().partition("x")
-    if not (_is_whole(columns) and _is_whole(rows)):
-        raise argparse.ArgumentTypeError(f"found {text!r}, expected inner corners such as 4x7")
-    return int(columns), int(rows)
+    return _product(text, 0, "inner corners such as 4x7")
 
 
 def picture_size(text: str) -> tuple[int, int]:
     """WIDTHxHEIGHT of pictures."""
-    width, _, height = text.lower().partition("x")
-    if not (_is_whole(width) and _is_whole(height) and int(width) and int(height)):
-        raise argparse.ArgumentTypeError(f"found {text!r}, expected pixels such as 1920x1080")
-    return int(width), int(height)
+    return _product(text, 1, "pixels such as 1920x1080")
+
+
+def _product(text: str, least: int, expected: str) -> tuple[int, int]:
+    """Two whole numbers with x between them."""
+    first, _, second = text.lower().partition("x")
+    with suppress(ValueError):
+        if min(found := (_whole(first), _whole(second))) >= least:
+            return found
+    raise argparse.ArgumentTypeError(f"found {text!r}, expected {expected}")
 
 
 def charuco_markers(text: str) -> tuple[str, float]:
@@ -149,11 +144,6 @@ def charuco_markers(text: str) -> tuple[str, float]:
         expected = "a dictionary and metres such as 5X5_100,0.045"
         raise argparse.ArgumentTypeError(f"found {text!r}, expected {expected}")
     return dictionary.strip(), positive_number(side)
-
-
-def add_up(parser: argparse.ArgumentParser, help_text: str) -> None:
-    """The option --up."""
-    parser.add_argument("--up", choices=("z", "y"), help=help_text)
 
 
 # Options that name what is written.
@@ -201,7 +191,7 @@ def check_report(options: argparse.Namespace) -> None:
 
 def report(options: argparse.Namespace, text: str, figures: dict) -> None:
     """Print the text, and write the figures where --json says; - leaves standard output to them."""
-    from jaxmocap.pipelines.summary import write_figures
+    from jaxmocap.outputs.report import write_figures
 
     if options.json == "-":
         print_lines(text.split("\n"), sys.stderr)

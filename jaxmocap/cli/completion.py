@@ -80,10 +80,6 @@ def install_completion(parser: argparse.ArgumentParser, shell: str) -> tuple[Pat
     Returns:
         The script, and what to do to activate it, one sentence or several.
 
-    Args:
-        parser: of all commands.
-        shell: one of ``SHELLS``.
-
     Raises:
         InputError: the folder cannot be written to.
         OutputError: the file cannot be written, as on a full disk.

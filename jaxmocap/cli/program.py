@@ -1,8 +1,8 @@
 """The command line: it parses arguments, runs one command, and ends with an exit code.
 
-Begin with ``tracking.track``, one command from its options to its exit code. Each command is a file
-with a ``COMMAND``, listed below; the rooms ``calibrate`` and ``silhouette`` are commands of several
-kinds. A command imports what it needs when it runs, so that ``--help`` is quick.
+Begin with ``tracking.track``, one command from its options to its exit code. Each command is a
+file, listed below; the rooms ``calibrate`` and ``silhouette`` are commands of several kinds. A
+command imports what it needs when it runs, so that ``--help`` is quick.
 
 Exit codes: 0 done, 1 not done or done in part, 2 bad input, 130 interrupted, 143 terminated. But
 for 0 one sentence on stderr says why.
@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from jaxmocap import __version__
-from jaxmocap.cli import INTERRUPTED, calibrate, silhouette, topics
-from jaxmocap.cli.command import Command, check_report
+from jaxmocap.cli import INTERRUPTED, calibrate, help, silhouette
+from jaxmocap.cli.command import Command, check_report, name_of
 from jaxmocap.cli.completion import add_completion
 from jaxmocap.cli.results import convert, evaluate, retarget, view
 from jaxmocap.cli.setup import check, keypoints, offsets, plan, scale, sync
@@ -30,30 +30,12 @@ BAD_INPUT = 2
 TERMINATED = 143  # 128 and the number of SIGTERM
 
 # In the order of --help.
-COMMANDS = (
-    demo.COMMAND,
-    video.COMMAND,
-    check.COMMAND,
-    track.COMMAND,
-    batch.COMMAND,
-    warmup.COMMAND,
-    sync.COMMAND,
-    keypoints.COMMAND,
-    evaluate.COMMAND,
-    view.COMMAND,
-    live.COMMAND,
-    convert.COMMAND,
-    retarget.COMMAND,
-    scale.COMMAND,
-    offsets.COMMAND,
-    plan.COMMAND,
-    topics.COMMAND,
+COMMANDS: tuple[Command, ...] = (
+    *(demo, video, check, track, batch, warmup, sync, keypoints, evaluate),
+    *(view, live, convert, retarget, scale, offsets, plan, help),
 )
-# A command of several kinds -> its purpose, and these.
-GROUPS = {
-    "calibrate": (calibrate.PURPOSE, calibrate.COMMANDS),
-    "silhouette": (silhouette.PURPOSE, silhouette.COMMANDS),
-}
+# A command of several kinds.
+GROUPS = {"calibrate": calibrate, "silhouette": silhouette}
 # Options whose value may begin with a minus, which argparse would take for an option.
 SIGNED_OPTIONS = ("--pose", "--origin", "--at", "--room", "--heights", "--turning", "--still")
 
@@ -136,27 +118,29 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="jaxmocap",
         description="Human motion capture from three tracked points and one ordinary camera.",
-        epilog=f"example: {COMMANDS[0].example}",
+        epilog=f"example: {demo.EXAMPLE}",
     )
     parser.add_argument("--version", action="version", version=__version__)
     add_completion(parser)
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for command in COMMANDS:
         _add_command(subparsers, command)
-    for name, (purpose, kinds) in GROUPS.items():
-        group = _add_parser(subparsers, name, purpose, f"jaxmocap {name} {kinds[0].name} --help")
+    for name, kinds in GROUPS.items():
+        example = f"jaxmocap {name} {name_of(kinds.COMMANDS[0])} --help"
+        group = _add_parser(subparsers, name, kinds.PURPOSE, example)
         kind_parsers = group.add_subparsers(dest="kind", required=True, metavar="KIND")
-        for command in kinds:
+        for command in kinds.COMMANDS:
             _add_command(kind_parsers, command)
     return parser
 
 
 def _add_command(subparsers: Any, command: Command) -> None:
     """Add a command's parser to those of the others."""
-    parser = _add_parser(subparsers, command.name, command.purpose, command.example)
+    parser = _add_parser(subparsers, name_of(command), command.PURPOSE, command.EXAMPLE)
     parser.set_defaults(run=command.run)
     command.add_options(parser)
-    if command.reports_figures:
+    # Pages have no figures.
+    if command is not help:
         parser.add_argument(
             "--json", metavar="FILE", help="write the figures as JSON; - for standard output"
         )

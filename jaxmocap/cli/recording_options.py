@@ -44,9 +44,7 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
 def settings_of(options: argparse.Namespace, smooth: bool | None = None) -> Settings:
     """The tracker's settings, or with --paper the first paper's, with --settings and --refine.
 
-    Args:
-        options: of the command.
-        smooth: whether poses are smoothed; None where the settings say so.
+    ``smooth`` is whether poses are smoothed; None where the settings say so.
 
     Raises:
         InputError: a settings file that is none; something chosen that would have no part.

@@ -1,6 +1,6 @@
 """Joint positions against a reference: distances, their statistics, jitter.
 
-INPUTS: tracked joints and reference markers over time (metres, Z up, seconds).
+INPUTS: a Motion, or tracked joints, and reference markers over time (metres, Z up, seconds).
 OUTPUTS: Errors: distances per joint and matched sample, their statistics, a dictionary for JSON.
 """
 
@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from scipy.special import ndtri
 
-from jaxmocap.evaluation.series import high_pass, match, second_difference
+from jaxmocap.body.motion import Motion
+from jaxmocap.evaluation.series import finite_mean, high_pass, match, second_difference
 from jaxmocap.formats.files.errors import InputError, comma_list
 from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.formats.time_series.markers import default_up, read_markers
@@ -145,8 +146,7 @@ class Errors:
     @property
     def mean(self) -> float:
         """Mean over the joints of their mean distances, metres; NaN where there is no data."""
-        means = self.statistics()["mean"]
-        return float(np.nanmean(means)) if np.isfinite(means).any() else float("nan")
+        return finite_mean(self.statistics()["mean"])
 
     def as_dict(self) -> dict:
         """Figures of each joint and their means over the joints, for JSON; NaN becomes None."""
@@ -156,10 +156,7 @@ class Errors:
             name: {key: _plain(values[j]) for key, values in table.items()}
             for j, name in enumerate(self.joints)
         }
-        over_joints = {
-            key: _plain(np.nanmean(values) if np.isfinite(values).any() else np.nan)
-            for key, values in table.items()
-        }
+        over_joints = {key: _plain(finite_mean(values)) for key, values in table.items()}
         return {"joints": joints, "mean_over_joints": over_joints}
 
 
@@ -183,7 +180,6 @@ def position_errors(
     truth_times: np.ndarray,
     truth: Mapping[str, np.ndarray],
     pairs: Mapping[str, str],
-    tolerance: float | None = None,
     sources: tuple[str | Path, str | Path] = ("tracked joints", "reference"),
     deviations: Mapping[str, np.ndarray] | None = None,
 ) -> Errors:
@@ -195,7 +191,6 @@ def position_errors(
         truth_times: (R,) seconds of the reference.
         truth: name -> (R, 3) world, metres.
         pairs: joint name -> the name of its marker in the reference.
-        tolerance: see ``match``.
         sources: names of the two in messages.
         deviations: joint -> (T, 3) standard deviations of the tracked joints, metres.
 
@@ -208,7 +203,7 @@ def position_errors(
     for joint, marker in pairs.items():
         _require(joint, joints, "joint", tracked)
         _require(marker, truth, "marker", reference)
-    a, b = match(times, truth_times, tolerance)
+    a, b = match(times, truth_times)
     if not len(a):
         problem = f"covers {_span(times)} and has no time in common with {reference}"
         raise InputError(tracked, f"{problem}, which covers {_span(truth_times)}")
@@ -231,15 +226,42 @@ def _span(times: np.ndarray) -> str:
     return f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "no time at all"
 
 
-def points_z_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
-    """Name -> points (T, 3), world with Z up, of a reference whose vertical axis is ``up``.
-
-    Raises:
-        ValueError: an ``up`` that is neither "z" nor "y".
-    """
+def _points_z_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
+    """Name -> points (T, 3), world with Z up, of a reference whose vertical axis is ``up``."""
     if up not in TO_WORLD:
         raise ValueError(f"up = {up!r}: expected one of {', '.join(TO_WORLD)}")
     return {name: points[:, TO_WORLD[up]] for name, points in reference.points().items()}
+
+
+def evaluate(
+    motion: Motion, truth: str | Path | Markers, pairs: Mapping[str, str], up: str | None = None
+) -> Errors:
+    """Errors of a motion's joints against a reference, matched by time stamp.
+
+    Args:
+        motion: what was tracked.
+        truth: a file of markers, a .bvh or .glb whose joints are compared, or Markers.
+        pairs: joint name -> the name of its marker in the reference.
+        up: the reference's vertical axis, "z" or "y" (world = (z, x, y) of the file); None is "y"
+            for .bvh and .glb, else "z".
+
+    Raises:
+        InputError: a file that is missing or no marker file, an unknown name, no common time.
+        ValueError: another ``up``.
+
+    Example:
+        >>> from jaxmocap import Recording, Settings, evaluate, track
+        >>> motion = track(Recording.load("recording.toml"), Settings(refine="none"))
+        >>> errors = evaluate(motion, "truth.trc", {"elbow_r": "elbow_r"})
+        >>> bool(errors.mean < 1.0)  # metres
+        True
+    """
+    in_memory = isinstance(truth, Markers)
+    markers = truth if in_memory else read_markers(truth)
+    points = _points_z_up(markers, up or ("z" if in_memory else default_up(truth)))
+    sources = "motion", "reference" if in_memory else truth
+    joints, deviations = motion.joints(), motion.deviations()
+    return position_errors(motion.times, joints, markers.times, points, pairs, sources, deviations)
 
 
 def evaluate_directory(
@@ -254,14 +276,8 @@ def evaluate_directory(
     They are those of ``motion.npz``, whose axes are the world's; of ``joints.trc``, Z up, where
     that is missing.
 
-    Args:
-        directory: what ``track --out`` was given.
-        truth_path: the reference's file: markers, or a .bvh or .glb whose joints are compared.
-        pairs: joint name -> the name of its marker in the reference; None for the joints whose
-            names are there as well.
-        up: the reference's vertical axis, "z" or "y" (world = (z, x, y) of the file); None is "y"
-            for .bvh and .glb, else "z".
-        offset: seconds to add to the reference's times; a .bvh always begins at 0.
+    ``pairs`` and ``up`` are as in ``evaluate``; without pairs, joints of the same names in both are
+    compared. ``offset`` is added to the reference's times, seconds; a .bvh always begins at 0.
 
     Raises:
         InputError: a file that is missing or no marker file, an unknown name, no common time.
@@ -271,21 +287,18 @@ def evaluate_directory(
     deviations = None
     if path.is_file():
         motion = load_motion(path)
-        deviations = motion.deviations()
-        joints = motion.joints()
-        tracked = Markers(motion.times, tuple(joints), np.stack(list(joints.values()), 1))
+        times, joints, deviations = motion.times, motion.joints(), motion.deviations()
     else:
         path = Path(directory) / "joints.trc"
         tracked = read_markers(path)
+        times, joints = tracked.times, tracked.points()
     truth = read_markers(truth_path)
-    truth_world = points_z_up(truth, up or default_up(truth_path))
+    points = _points_z_up(truth, up or default_up(truth_path))
     if pairs is None:
-        pairs = {name: name for name in tracked.names if name in truth.names}
+        pairs = {name: name for name in joints if name in points}
         if not pairs:
-            found, ours = comma_list(truth.names), comma_list(tracked.names)
+            found, ours = comma_list(truth.names), comma_list(tuple(joints))
             problem = f"no joint of the same name; state --match: found {found}, ours are {ours}"
             raise InputError(truth_path, problem)
-    times, both = truth.times + offset, (path, truth_path)
-    return position_errors(
-        tracked.times, tracked.points(), times, truth_world, pairs, None, both, deviations
-    )
+    sources = path, truth_path
+    return position_errors(times, joints, truth.times + offset, points, pairs, sources, deviations)

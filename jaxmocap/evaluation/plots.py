@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass
+from jaxmocap.evaluation.series import HIGH_PASS_HZ, finite_mean, high_pass
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.writing import check_target, replacing
 
@@ -55,7 +55,7 @@ def plot_elbow_errors(
         top, middle, bottom = axes[:, column]
         named = ("markers only", before, MARKERS_ONLY), ("with video", after, WITH_VIDEO)
         for name, values, style in named:
-            top.plot(times, values, label=f"{name}: mean {_mean(values):.1f} cm", **style)
+            top.plot(times, values, label=f"{name}: mean {finite_mean(values):.1f} cm", **style)
             bottom.plot(times, high_pass(times, values), **style)
         # Above the panel, where it hides no curve.
         place = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.98), "ncols": 2}
@@ -77,13 +77,12 @@ def plot_elbow_errors(
     save_figure(figure, path, title)
 
 
-def plot_joint_errors(path: str | Path, runs: Mapping[str, Errors], title: str = "") -> None:
+def plot_joint_errors(path: str | Path, runs: Mapping[str, Errors]) -> None:
     """Draw how far joints are from the reference over time, a panel for each pair of joints.
 
     Args:
         path: of the picture (.png, .svg, .pdf).
         runs: name -> errors of the same joints, ``NAME_l`` and ``NAME_r``; one run or two.
-        title: above the panels.
     """
     first = next(iter(runs.values()))
     places = list(
@@ -97,7 +96,7 @@ def plot_joint_errors(path: str | Path, runs: Mapping[str, Errors], title: str =
                     continue
                 values = 100 * errors.distances[:, errors.joints.index(place + end)]
                 side = "left" if end == "_l" else "right"
-                label = f"{side}: mean {_mean(values):.1f} cm"
+                label = f"{side}: mean {finite_mean(values):.1f} cm"
                 label = label if len(runs) == 1 else f"{name}, {label}"
                 panel.plot(errors.times, values, color=colour, label=label, **style)
         panel.set_title(place)
@@ -109,11 +108,7 @@ def plot_joint_errors(path: str | Path, runs: Mapping[str, Errors], title: str =
     low, high = axes[0, 0].get_ylim()
     # Room for the legends above the curves.
     axes[0, 0].set_ylim(0, high + 0.35 * (high - low))
-    save_figure(figure, path, title)
-
-
-def _mean(values: np.ndarray) -> float:
-    return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
+    save_figure(figure, path, "Position errors")
 
 
 def new_panels(
@@ -144,7 +139,7 @@ def check_picture(path: str | Path, inputs: Iterable[str | Path] = ()) -> None:
         raise InputError(path, f"found {suffix!r}, expected {', '.join(PICTURES)}")
 
 
-def save_figure(figure: Figure, path: str | Path, title: str) -> None:
+def save_figure(figure: Figure, path: str | Path, title: str = "") -> None:
     """Write a figure to a picture file, moved into place when it is complete."""
     if title:
         figure.suptitle(title)
@@ -163,12 +158,7 @@ COLOURS = {"l": "#1557b0", "r": "#c62828"}
 
 
 def plot_stick_figures(path: str | Path, people: Mapping[str, Motion]) -> None:
-    """Draw each person at the same instants from the side, and how high their feet are.
-
-    Args:
-        path: of the picture (.png, .svg, .pdf).
-        people: name -> motion; their times are the same.
-    """
+    """Draw people at the same instants from the side, and how high their feet are (.png, .svg)."""
     figure, axes = new_panels(len(people), 2, (6.4, 2.2), sharex="col", sharey="col")
     joints = {name: motion.joints() for name, motion in people.items()}
     highest = max(float(each["vertex"][:, 2].max()) for each in joints.values())
@@ -182,7 +172,7 @@ def plot_stick_figures(path: str | Path, people: Mapping[str, Motion]) -> None:
         heights.set_ylabel("height [cm]")
     axes[-1, 1].set_xlabel("time [s]")
     axes[0, 1].legend(frameon=False, ncols=4, fontsize="small")
-    save_figure(figure, path, "")
+    save_figure(figure, path)
 
 
 def _draw_figures(panel, joints: dict[str, np.ndarray], highest: float) -> None:

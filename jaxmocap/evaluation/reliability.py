@@ -52,13 +52,8 @@ def risk_curve(stated: np.ndarray, found: np.ndarray) -> tuple[np.ndarray, np.nd
     return count / len(ordered), np.cumsum(ordered) / count
 
 
-def plot_reliability(path: str | Path, runs: Mapping[str, Errors], title: str = "") -> None:
-    """Draw both for each run.
-
-    Args:
-        path: of the picture (.png, .svg, .pdf).
-        runs: name -> errors with deviations; or joint -> errors of that joint.
-        title: above the panels.
+def plot_reliability(path: str | Path, runs: Mapping[str, Errors]) -> None:
+    """Draw both for each run, or for each joint's own errors (.png, .svg, .pdf).
 
     Raises:
         ValueError: a run without deviations.
@@ -84,7 +79,7 @@ def plot_reliability(path: str | Path, runs: Mapping[str, Errors], title: str = 
     right.set_xlabel("samples kept, the surest first [%]")
     right.set_ylabel("their mean error [cm]")
     left.legend(frameon=False, fontsize="small")
-    save_figure(figure, path, title)
+    save_figure(figure, path)
 
 
 def by_joint(errors: Errors) -> dict[str, Errors]:

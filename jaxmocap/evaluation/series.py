@@ -49,6 +49,11 @@ def _nearest(series: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return np.where(closer, before, after)
 
 
+def finite_mean(values: np.ndarray) -> float:
+    """Of what is not NaN; NaN where there is nothing."""
+    return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
+
+
 def second_difference(times: np.ndarray, values: np.ndarray) -> np.ndarray:
     """(N - 2, ...) second derivative of (N, ...) values, per second squared.
 
@@ -60,16 +65,15 @@ def second_difference(times: np.ndarray, values: np.ndarray) -> np.ndarray:
     return differences
 
 
-def high_pass(times: np.ndarray, values: np.ndarray, cutoff: float = HIGH_PASS_HZ) -> np.ndarray:
-    """The part of a series that changes faster than a cut-off: no phase shift, mean removed.
+def high_pass(times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The part of a series that changes faster than ``HIGH_PASS_HZ``, where half passes.
 
     A second-order Butterworth filter run forwards and backwards, as its gain over frequency on
-    the series continued by its mirror image; so its ends leave no steps.
+    the series continued by its mirror image: no phase shift, no mean, no steps at its ends.
 
     Args:
         times: (N,) seconds, evenly spaced on the whole.
         values: (N,) the series; NaN is bridged for filtering and stays NaN.
-        cutoff: hertz, where half the amplitude passes.
 
     Returns:
         (N,) filtered values.
@@ -80,6 +84,6 @@ def high_pass(times: np.ndarray, values: np.ndarray, cutoff: float = HIGH_PASS_H
         return np.where(is_finite, 0.0, np.nan)
     bridged = np.interp(times, np.asarray(times)[is_finite], values[is_finite])
     mirrored = np.concatenate([bridged, bridged[::-1]])
-    ratio = (np.fft.rfftfreq(len(mirrored), sample_step(times)) / cutoff) ** 4
+    ratio = (np.fft.rfftfreq(len(mirrored), sample_step(times)) / HIGH_PASS_HZ) ** 4
     filtered = np.fft.irfft(np.fft.rfft(mirrored) * ratio / (1 + ratio), len(mirrored))
     return np.where(is_finite, filtered[: len(values)], np.nan)

@@ -26,9 +26,7 @@ STATED_COLUMNS = {
 def format_table(errors: Errors, before: Errors | None = None) -> str:
     """A plain text table, one row per joint and one for their mean; centimetres.
 
-    Args:
-        errors: what to show.
-        before: with it, two more columns: the mean error before, and by how much it fell.
+    With ``before`` two more columns: the mean error before, and by how much it fell.
     """
     is_stated = "stated_m" in errors.as_dict()["mean_over_joints"]
     columns = COLUMNS | (STATED_COLUMNS if is_stated else {})

@@ -43,22 +43,21 @@ def lay_out(
 ) -> rrb.Blueprint:
     """Body to the left, all cameras to the right, two time series below; the rest behind tabs.
 
-    A recording plays from its first frame, again and again; a live run is followed.
-
-    Args:
-        cameras: camera name -> names of its fields.
-        scene: shown from the front left.
-        floor: under it, shown with a grid.
-        series: entities of time series and titles of their views.
-        live: whether data still come.
-        why: whether there is a text ``WHY``.
+    A recording plays from its first frame, again and again; a live run is followed. Cameras have
+    the names of their fields, series those of their views.
     """
     body = rrb.Spatial3DView(
         origin="/world",
         name="Body",
         eye_controls=_eye(scene),
         background=rrb.Background(color=BACKGROUND, kind=rrb.BackgroundKind.SolidColor),
-        line_grid=_grid(floor),
+        line_grid=rrb.LineGrid3D(
+            floor is not None,
+            spacing=GRID_M,
+            plane=rr.components.Plane3D((0.0, 0.0, 1.0), floor.height_m if floor else 0.0),
+            stroke_width=GRID_WIDTH,
+            color=GRID_COLOUR,
+        ),
         # Within the body; who hides that by the viewer's list of entities may show it.
         overrides={"world/skeleton": rrb.EntityBehavior(visible=False)},
     )
@@ -87,16 +86,6 @@ def lay_out(
         ),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
-    )
-
-
-def _grid(floor: Floor | None) -> rrb.LineGrid3D:
-    return rrb.LineGrid3D(
-        floor is not None,
-        spacing=GRID_M,
-        plane=rr.components.Plane3D((0.0, 0.0, 1.0), floor.height_m if floor else 0.0),
-        stroke_width=GRID_WIDTH,
-        color=GRID_COLOUR,
     )
 
 

@@ -49,21 +49,10 @@ class LiveSnapshot(NamedTuple):
 
 
 class LiveView:
-    """Shows one person.
-
-    Attributes:
-        problem: why nothing more is shown, or None.
-    """
+    """Shows one person; ``problem`` is why nothing more is shown."""
 
     def __init__(self, url: str, skeleton: Skeleton, cameras: Mapping[str, Camera], pose: Pose):
-        """Connect and lay out.
-
-        Args:
-            url: of the viewer, ``rerun+http://...``.
-            skeleton: of the person.
-            cameras: name -> calibration.
-            pose: about where the person will stand.
-        """
+        """Connect to ``rerun+http://...``, and lay out about where the person will stand."""
         self._skeleton, self._cameras = skeleton, dict(cameras)
         self.problem: str | None = None
         self._stream = rr.RecordingStream("jaxmocap live")
@@ -73,7 +62,7 @@ class LiveView:
         fields = {name: [] for name in cameras}
         self._stream.send_blueprint(layout.lay_out(fields, standing, floor, SERIES, live=True))
         recorder.log_pieces(self._stream, skeleton.tree, pieces, floor)
-        recorder.log_moment(self._stream, standing)
+        recorder.log_body(self._stream, standing)
         self._joints = recorder.shown_joints(skeleton.tree)
         lines = {layout.ANGLES: self._joints, layout.DEVIATIONS: recorder.SIDES}
         for root, names in (lines | {"milliseconds": (LATENCY,)}).items():
@@ -115,7 +104,8 @@ class LiveView:
 
     def _log(self, snapshot: LiveSnapshot) -> None:
         scene = self._scene(snapshot.time, snapshot.pose)
-        recorder.log_moment(self._stream, scene)
+        recorder.log_body(self._stream, scene)
+        self._stream.set_time(layout.TIMELINE, duration=snapshot.time)
         for name, image in snapshot.images.items():
             camera_recorder.log_images(self._stream, name, [(snapshot.time, image)], JPEG_QUALITY)
             camera_recorder.log_outlines(

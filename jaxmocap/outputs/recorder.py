@@ -22,6 +22,7 @@ from jaxmocap.geometry.rotations import quaternion_from_matrix
 from jaxmocap.geometry.solids import Solid
 from jaxmocap.outputs.ellipses import Uncertainty
 from jaxmocap.outputs.layout import ANGLES, DEVIATIONS, TIMELINE, WHY, entity_path
+from jaxmocap.outputs.report import SIDES
 from jaxmocap.outputs.scene import BodyScene, Floor
 
 # RGB of the middle, the left and the right of the body: bones, outlines and lines of plots.
@@ -68,16 +69,6 @@ def log_body(stream: rr.RecordingStream, scene: BodyScene) -> None:
         stream.send_columns(f"world/body/{bone}", [at_times(scene.times)], columns)
     strips = np.stack([scene.near, scene.far], 2)
     send_strips(stream, "world/skeleton", scene.times, strips, rr.LineStrips3D)
-
-
-def log_moment(stream: rr.RecordingStream, scene: BodyScene) -> None:
-    """The pose of the body of ``log_limbs`` at the one time of a scene."""
-    stream.set_time(TIMELINE, duration=float(scene.times[0]))
-    for i, bone in enumerate(scene.tree.bones):
-        placed = rr.Transform3D(translation=scene.near[0, i], mat3x3=scene.R_world_bone[0, i])
-        stream.log(f"world/body/{bone}", placed)
-    strips = np.stack([scene.near[0], scene.far[0]], 1)
-    stream.log("world/skeleton", rr.LineStrips3D.from_fields(strips=strips))
 
 
 def log_pieces(
@@ -167,11 +158,7 @@ def at_times(times: np.ndarray) -> rr.TimeColumn:
 
 
 def send_recording(path: Path, url: str) -> None:
-    """Send a recording to a viewer, as itself; this process must go on while it loads.
-
-    Args:
-        path: of the .rrd file.
-        url: where the viewer listens.
+    """Send a recording (.rrd) to a viewer, as itself; this process must go on while it loads.
 
     Raises:
         ImportError: the installed rerun-sdk cannot read such files.
@@ -193,7 +180,6 @@ def send_recording(path: Path, url: str) -> None:
     stream.flush()
 
 
-SIDES = ("left", "right")
 # Joints whose angles are shown, as angles.mot names them.
 SHOWN_JOINTS = ("elbow_flex_l", "elbow_flex_r", "knee_flexion_l", "knee_flexion_r")
 # Of a body that has none of these, so many joints.

@@ -1,6 +1,6 @@
 """The report of a run as JSON: its times, its standard deviations, the versions it ran on.
 
-INPUTS: a Motion with its Report. OUTPUTS: report.json; numbers that are missing are null.
+INPUTS: a Motion with its Report. OUTPUTS: figures; JSON, where missing numbers are null.
 """
 
 import json
@@ -28,21 +28,12 @@ OFF_M = 0.05
 _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless")
 
 
-def write_report(path: str | Path, motion: Motion, extra: Mapping | None = None) -> dict:
-    """Write the entries of ``summarise``, and those that the caller adds.
-
-    Args:
-        path: of the .json file; it appears when it is complete.
-        motion: with or without a report.
-        extra: more entries, such as warnings or the recording's name.
-
-    Returns:
-        What was written.
-    """
-    report = plain(summarise(motion) | dict(extra or {}))
-    text = json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False)
-    write_text(path, text + "\n")
-    return report
+def write_figures(figures: Mapping, path: str | Path | None = None) -> str:
+    """Figures as JSON text, NaN as null; written to a file where one is named."""
+    text = json.dumps(plain(figures), indent=2, ensure_ascii=False, allow_nan=False)
+    if path is not None:
+        write_text(path, text + "\n")
+    return text
 
 
 def summarise(motion: Motion) -> dict:
@@ -66,9 +57,7 @@ def summarise(motion: Motion) -> dict:
 def misfit(motion: Motion, least: float = OFF_M) -> str | None:
     """A warning that the body is far off a marker in half of the samples; None if it is not.
 
-    Args:
-        motion: with or without a report.
-        least: metres; beyond ``MISFIT_M`` the motion is not that of the person recorded.
+    By more than ``least``, metres; beyond ``MISFIT_M`` it is not the motion of who was recorded.
     """
     if (report := motion.report) is None:
         return None

@@ -34,11 +34,7 @@ def log_skin(
 ) -> None:
     """The surface as the motion moves it; nothing where the pose is unknown.
 
-    Args:
-        stream: of the recording.
-        motion: of the body.
-        surface: of it.
-        picture: (H, W, 3) BGR uint8, its colours, laid out by ``atlas_of``.
+    The picture (H, W, 3) is its colours, BGR uint8, laid out by ``atlas_of``.
     """
     joints = rest_joints(motion.skeleton)
     if picture is None:

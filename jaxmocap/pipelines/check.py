@@ -24,15 +24,7 @@ MOST_DECODED = 3000
 
 @dataclass(frozen=True)
 class RecordingCheck:
-    """What was found in a recording.
-
-    Attributes:
-        recording: with its markers.
-        findings: what is wrong, fatal findings first.
-        views: what each camera sees of the markers.
-        warnings: of reading the videos.
-        measured_bones: whose length [subject] measures or states.
-    """
+    """What was found in a recording: fatal findings first, what each camera sees of the markers."""
 
     recording: Recording
     findings: list[Finding]

@@ -15,16 +15,16 @@ from jaxmocap.body.model import marker_sites
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import WINTER, Skeleton
-from jaxmocap.evaluation.errors import Errors
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import Errors, evaluate
 from jaxmocap.evaluation.plots import plot_elbow_errors
 from jaxmocap.evaluation.tables import format_table
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.pipelines.summary import frames_per_second
-from jaxmocap.pipelines.tracking.track import make_tracker, track, track_both
+from jaxmocap.pipelines.tracking.track import track, track_both
 from jaxmocap.pipelines.writing import MOTION, MOTION_FILES, write_tracked
 from jaxmocap.synthetic.recording import (
     CAMERA,
@@ -50,24 +50,12 @@ RECORDING_FILES = (
 
 @dataclass(frozen=True)
 class Demonstration:
-    """The demo's results.
-
-    Attributes:
-        motion: by markers and video.
-        markers_only: errors of the elbows without video.
-        with_video: errors of the elbows with it.
-        files: that were written.
-    """
+    """The demo's results: motion, errors of the elbows without video and with it, files."""
 
     motion: Motion
     markers_only: Errors
     with_video: Errors
     files: list[Path]
-
-    @property
-    def improvement(self) -> float:
-        """The share by which video lowers the mean error."""
-        return 1 - self.with_video.mean / self.markers_only.mean
 
     def table(self) -> str:
         """Elbow errors with video and without, and the rate of all passes, as text."""
@@ -80,7 +68,7 @@ class Demonstration:
         return {
             "markers_only": self.markers_only.as_dict(),
             "with_video": self.with_video.as_dict(),
-            "improvement_share": self.improvement,
+            "improvement_share": 1 - self.with_video.mean / self.markers_only.mean,
             "frames_per_second": frames_per_second(self.motion.report),
             "files": [str(path) for path in self.files],
         }
@@ -89,14 +77,7 @@ class Demonstration:
 def demonstrate(
     directory: str | Path, seconds: float = 6.0, seed: int = 0, progress: bool = False
 ) -> Demonstration:
-    """Make a recording, track it, and compare both elbows with the truth.
-
-    Args:
-        directory: is made where missing; the recording goes to ``recording`` in it.
-        seconds: duration.
-        seed: of person, room, strokes and noise.
-        progress: show bars on stderr.
-    """
+    """Make a recording, track it, and compare both elbows with the truth; see ``jaxmocap demo``."""
     if not LEAST_S <= seconds <= MOST_S:
         raise InputError("--seconds", f"found {seconds:g}, expected {LEAST_S:g} to {MOST_S:g}")
     folder = OutputFolder(directory, MOTION, FILES)
@@ -110,7 +91,7 @@ def demonstrate(
         person = {"height": HEIGHT_M, "progress": show, "detail": DETAIL}
         written = renderer.submit(write_table_tennis, stage, seconds, seed, **person)
         standing = standing_recording(1)
-        tracker = make_tracker(standing)
+        tracker = HybridTracker.from_recording(standing)
         track(standing, tracker=tracker, progress=False)
         written.result()
     recording = Recording.load(recording_folder.path / "recording.toml")

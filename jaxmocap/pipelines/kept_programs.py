@@ -11,6 +11,7 @@ import stat
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,19 +32,12 @@ FILE_MODE = 0o600
 
 
 class PrivateCache:
-    """A folder of sealed files.
-
-    Attributes:
-        folder: that holds the files.
-    """
+    """A folder of sealed files."""
 
     def __init__(self, root: Path, name: str, warn: Callable[[str], None] = lambda _: None):
-        """Nothing is made yet.
+        """A folder of that name within one of the user's; nothing is made yet.
 
-        Args:
-            root: a folder that was chosen by the user.
-            name: of the folder in it.
-            warn: called with a sentence where another user could have written.
+        ``warn`` is called with a sentence where another user could have written.
         """
         self.folder, self._root, self._warn = root / name, root, warn
 
@@ -118,8 +112,6 @@ TRACED_FOLDER = "programs"
 # Folder in the cache's folder: what the compiler made.
 COMPILED_FOLDER = "compiled"
 EXECUTABLE_SUFFIX = ".executable"
-# Warnings that were printed already.
-_warned: set[str] = set()
 
 
 def cache_folder() -> Path:
@@ -209,8 +201,7 @@ def _install(files: PrivateCache) -> None:
         compilation_cache._cache_initialized = True
 
 
+@cache
 def _warn(sentence: str) -> None:
-    """Print a warning on stderr, once."""
-    if sentence not in _warned:
-        _warned.add(sentence)
-        print(f"warning: {sentence}", file=sys.stderr)
+    """Print a warning on stderr, each once."""
+    print(f"warning: {sentence}", file=sys.stderr)

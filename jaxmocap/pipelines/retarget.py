@@ -135,14 +135,7 @@ PICTURE_FILE = "retargeted.png"
 
 
 class RetargetedMotion(NamedTuple):
-    """A motion before and after it was retargeted.
-
-    Attributes:
-        tracked: as it was tracked.
-        retargeted: as the other body moves.
-        surface: of the other body, or None.
-        picture: a PNG file's content, the surface's colours; or None.
-    """
+    """A motion before and after, the other's surface and its colours, a PNG file's content."""
 
     tracked: Motion
     retargeted: Motion
@@ -181,11 +174,7 @@ class RetargetedMotion(NamedTuple):
 
 
 def retarget(source: str | Path, onto: str | Path) -> RetargetedMotion:
-    """Play a motion with another person's body.
-
-    Args:
-        source: a motion.npz, or the folder that holds it.
-        onto: a subject file, or a folder that ``silhouette model`` wrote.
+    """Play a motion with another person's body, with the options of ``jaxmocap retarget``.
 
     Raises:
         InputError: a file cannot be used, or the bodies have other bones.
@@ -212,14 +201,7 @@ def retargeted_folder(directory: str | Path, source: str | Path, onto: str | Pat
 def write_retargeted(
     motions: RetargetedMotion, folder: OutputFolder, warn: Warn = ignore_warning
 ) -> list[Path]:
-    """Write the motion and the picture; see ``write_outputs``.
-
-    Returns:
-        What was written.
-
-    Raises:
-        OutputError: the disk is full; every file that is there is complete.
-    """
+    """Write the motion and the picture; see ``write_outputs``."""
     motion, skin = motions.retargeted, (motions.surface, motions.picture)
     files = folder.write(lambda stage: write_motion(motion, stage, *skin, warn), more_follows=True)
     return files + folder.write(partial(_write_pictures, motions))

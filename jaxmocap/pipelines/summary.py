@@ -1,9 +1,8 @@
 """A run's results: a few lines of text, and the same as figures.
 
-INPUTS: a Motion with its Report. OUTPUTS: plain text; frames per second; JSON.
+INPUTS: a Motion with its Report. OUTPUTS: plain text; frames per second; figures.
 """
 
-import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,8 +11,7 @@ import numpy as np
 
 from jaxmocap.body.motion import UNDETERMINED_M, Motion, Report
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.formats.files.writing import write_text
-from jaxmocap.outputs.report import misfit, plain, summarise
+from jaxmocap.outputs.report import misfit, summarise
 
 # A landmark that is not determined in fewer of the samples is not listed.
 LEAST_SHARE = 0.05
@@ -34,13 +32,7 @@ def frames_per_second(report: Report | None) -> float:
 
 
 def summary(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] = ()) -> str:
-    """Samples, seconds, marker errors, the elbows' deviations, warnings, and the files.
-
-    Args:
-        motion: with or without its report.
-        files: that were written.
-        warnings: besides those of the report.
-    """
+    """Samples, seconds, marker errors, the elbows' deviations, all warnings, and the files."""
     report = motion.report
     rows = [("samples", f"{len(motion.times)}, {motion.times[0]:.2f} to {motion.times[-1]:.2f} s")]
     if report is not None:
@@ -115,11 +107,3 @@ def figures(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] 
     """What ``report.json`` holds, the rate, and as in ``summary`` the warnings and the files."""
     rate = {} if motion.report is None else {"frames_per_second": frames_per_second(motion.report)}
     return summarise(motion) | rate | {"warnings": list(warnings), "files": list(map(str, files))}
-
-
-def write_figures(figures: Mapping, path: str | Path | None = None) -> str:
-    """The figures as JSON text, NaN as null; written to a file where one is named."""
-    text = json.dumps(plain(figures), indent=2, ensure_ascii=False, allow_nan=False)
-    if path is not None:
-        write_text(path, text + "\n")
-    return text

@@ -29,13 +29,7 @@ VIEWER_START_TIMEOUT_S = 30.0
 
 
 class Viewer(NamedTuple):
-    """A viewer that is open.
-
-    Attributes:
-        process: of it.
-        url: where it takes data, ``rerun+http://...``.
-        page: what a browser shows, or None for a window.
-    """
+    """A viewer that is open, where it takes data, and the page for a browser; None for a window."""
 
     process: subprocess.Popen
     url: str
@@ -44,10 +38,7 @@ class Viewer(NamedTuple):
     def until_interrupted(self, announce: Callable[[], None]) -> None:
         """Wait for the viewer to end, or for Ctrl-C; whatever comes, the viewer has then ended.
 
-        SIGTERM and what else is raised meanwhile goes on.
-
-        Args:
-            announce: called first, to say where it is open; Ctrl-C ends it, too.
+        ``announce`` says where it is open. SIGTERM and what else is raised meanwhile goes on.
         """
         try:
             with suppress(KeyboardInterrupt):
@@ -95,11 +86,7 @@ def open_viewer(path: Path) -> str:
 
 
 def serve_page(path: Path, port: int) -> Viewer:
-    """Serve a recording to a browser, from a process that ends with this one.
-
-    Args:
-        path: of the .rrd file.
-        port: of the page.
+    """Serve a recording (.rrd) to a browser, from a process that ends with this one.
 
     Raises:
         InputError: the port is taken, or the viewer cannot be opened.

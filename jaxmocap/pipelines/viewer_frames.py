@@ -5,6 +5,7 @@ regions of interest.
 """
 
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 
@@ -38,9 +39,7 @@ class FrameCounter:
 
 def viewer_frames(video: FrameSource, luma: bool = False) -> Iterator[TimedImage]:
     """At most ``MOST_VIEWER_FRAMES`` frames, evenly over the video."""
-    for i, frame in enumerate(video.frames(luma)):
-        if i % _stride(video) == 0:
-            yield frame
+    return islice(video.frames(luma), None, None, _stride(video))
 
 
 def viewer_frame_count(video: FrameSource) -> int:
@@ -49,7 +48,7 @@ def viewer_frame_count(video: FrameSource) -> int:
 
 
 def _stride(video: FrameSource) -> int:
-    return -(-len(video) // MOST_VIEWER_FRAMES)
+    return -(-len(video) // MOST_VIEWER_FRAMES) or 1
 
 
 def arm_edges(

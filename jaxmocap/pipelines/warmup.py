@@ -5,13 +5,11 @@ somebody who stands before a grey wall.
 OUTPUTS: JAX's compilation cache; how many programs were compiled, and how long it took.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import jax
 import numpy as np
@@ -21,11 +19,12 @@ from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.toml import read_toml
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.demo import standing_recording
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.live.setup import LiveSetup, load_live
 from jaxmocap.pipelines.live.tracking import LiveTracking
-from jaxmocap.pipelines.tracking.track import make_tracker, track
+from jaxmocap.pipelines.tracking.track import track
 
 # Seconds of a recording that are tracked: enough frames that the smoother gives out poses.
 TRACKED_S = 0.5
@@ -70,41 +69,28 @@ class CompilationCounts:
 def warm_up(recording: Recording, settings: Settings | None = None) -> list[CompilationCounts]:
     """Compile what tracking the recording needs, offline and causally.
 
-    Args:
-        recording: with or without videos; other recordings with as many markers on the same bones
-            and as many cameras need the same programs.
-        settings: of the tracker.
+    Others with as many markers on the same bones and as many cameras need the same programs.
     """
     keep_compiled()
     short = first_half_second(recording)
-    tracker = make_tracker(short, settings)
-    return [
-        _timed(name, lambda mode=mode: track(short, tracker=tracker, mode=mode, progress=False))
-        for mode, name in MODE_NAMES.items()
-    ]
+    tracker = HybridTracker.from_recording(short, settings)
+    found = []
+    for mode, name in MODE_NAMES.items():
+        with counting_compilations(name) as counts:
+            track(short, tracker=tracker, mode=mode, progress=False)
+        found.append(counts)
+    return found
 
 
 def warm_up_live(setup: LiveSetup, settings: Settings | None = None) -> list[CompilationCounts]:
-    """Compile what a live run needs, with and without ``--smooth``.
-
-    Args:
-        setup: of the run; no device is opened.
-        settings: of the tracker.
-    """
+    """Compile what a live run needs, with and without ``--smooth``; no device is opened."""
     keep_compiled()
-    start = partial(LiveTracking, setup, settings or Settings())
-    return [
-        _timed(name, lambda smooth=smooth: start(smooth).wait_until_ready())
-        for smooth, name in LIVE_NAMES.items()
-    ]
-
-
-def _timed(name: str, work: Callable[[], Any]) -> CompilationCounts:
-    """What work compiles, and how long it takes."""
-    began, counts = perf_counter(), CompilationCounts(name)
-    with counting_compilations(counts):
-        work()
-    return replace(counts, seconds=perf_counter() - began)
+    found = []
+    for smooth, name in LIVE_NAMES.items():
+        with counting_compilations(name) as counts:
+            LiveTracking(setup, settings or Settings(), smooth).wait_until_ready()
+        found.append(counts)
+    return found
 
 
 def load_or_standing(path: str | None) -> Recording | LiveSetup:
@@ -135,8 +121,9 @@ def first_half_second(recording: Recording) -> Recording:
 
 
 @contextmanager
-def counting_compilations(counts: CompilationCounts) -> Iterator[None]:
+def counting_compilations(mode: str) -> Iterator[CompilationCounts]:
     """Count what JAX compiles meanwhile, and what it reads from its cache; name the longest."""
+    began, counts = perf_counter(), CompilationCounts(mode)
     spent: dict[str, float] = {}
 
     def on_duration(event: str, duration_secs: float, **kwargs: str | int) -> None:
@@ -151,9 +138,10 @@ def counting_compilations(counts: CompilationCounts) -> Iterator[None]:
     jax.monitoring.register_event_duration_secs_listener(on_duration)
     jax.monitoring.register_event_listener(on_event)
     try:
-        yield
+        yield counts
     finally:
         jax.monitoring.unregister_event_duration_listener(on_duration)
         jax.monitoring.unregister_event_listener(on_event)
         longest = sorted(spent.items(), key=lambda pair: -pair[1])[:4]
         counts.longest_s.update({name.strip("_"): round(time, 3) for name, time in longest})
+        counts.seconds = perf_counter() - began

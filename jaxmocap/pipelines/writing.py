@@ -6,7 +6,7 @@ recording.rrd, overlay_NAME.mp4 of each camera, angles_opensim.mot where it is a
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -21,7 +21,7 @@ from jaxmocap.compilation.freed_memory import give_back
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import save_motion
-from jaxmocap.formats.opensim.coordinates import OPENSIM, write_opensim
+from jaxmocap.formats.opensim.coordinates import write_opensim
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.formats.recordings.recording_files import input_files
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP, Z_UP, to_world
@@ -31,7 +31,7 @@ from jaxmocap.geometry.cameras import stack_cameras
 from jaxmocap.geometry.rows import ComputedRows
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.overlay import write_overlay
-from jaxmocap.outputs.report import write_report
+from jaxmocap.outputs.report import summarise, write_figures
 from jaxmocap.outputs.viewer import Footage, shown_every, write_rerun
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.viewer_frames import (
@@ -58,25 +58,6 @@ MOTION_FILES = (
 OPENSIM_FILE = "angles_opensim.mot"
 
 
-@dataclass(frozen=True)
-class MotionFormats:
-    """How a motion's files are written.
-
-    Attributes:
-        up: vertical axis of joints.trc, "z" or "y".
-        names: "opensim" writes the coordinates of OpenSim's model as well; None does not.
-    """
-
-    up: str = Z_UP
-    names: str | None = None
-
-    @property
-    def more_files(self) -> tuple[str, ...]:
-        """Names of files besides ``MOTION_FILES``."""
-        return (OPENSIM_FILE,) if self.names == OPENSIM else ()
-
-
-USUAL_FORMATS = MotionFormats()
 # Called with a warning.
 Warn = Callable[[str], None]
 
@@ -91,13 +72,9 @@ def tracked_folder(
     others: Iterable[str] = (),
     inputs: Iterable[Path] = (),
 ) -> OutputFolder:
-    """The folder for a tracked recording's files, checked before any work.
+    """The folder for a tracked recording's files, and others, checked before any work.
 
-    Args:
-        directory: of the outputs.
-        recording: that is tracked.
-        others: names of files that are written besides.
-        inputs: files that are read besides the recording's.
+    ``inputs`` are files that are read besides the recording's.
 
     Raises:
         InputError: it cannot be written to, holds a file that is read, or a file that no earlier
@@ -116,7 +93,8 @@ def write_outputs(
     settings: Settings | None = None,
     progress: Progress | bool | None = None,
     warn: Warn = ignore_warning,
-    formats: MotionFormats = USUAL_FORMATS,
+    up: str = Z_UP,
+    opensim: bool = False,
 ) -> list[Path]:
     """Write all files of a tracked recording, drawn with its cameras as they were refined.
 
@@ -129,7 +107,8 @@ def write_outputs(
         progress: called with the frames drawn and their total; True shows a bar
             on stderr; None does so on a terminal.
         warn: called with a sentence for each file that cannot hold the motion and is left out.
-        formats: how the motion's files are written.
+        up: vertical axis of joints.trc, "z" or "y".
+        opensim: write the coordinates of OpenSim's model as well.
 
     Returns:
         The files, in the order in which they were written.
@@ -138,11 +117,13 @@ def write_outputs(
         InputError: see ``tracked_folder``.
         OutputError: the disk is full; every file that is there is complete.
     """
-    folder = tracked_folder(directory, recording, formats.more_files)
+    folder = tracked_folder(directory, recording, [OPENSIM_FILE] if opensim else [])
     videos, warnings = open_footage(recording)
     give_back()
     files = folder.write(
-        lambda stage: write_numbers(motion, recording, stage, warnings, warn=warn, formats=formats),
+        lambda stage: write_numbers(
+            motion, recording, stage, warnings, warn=warn, up=up, opensim=opensim
+        ),
         more_follows=True,
     )
     give_back()
@@ -172,17 +153,16 @@ def write_numbers(
     surface: Surface | None = None,
     picture: bytes | None = None,
     warn: Warn = ignore_warning,
-    formats: MotionFormats = USUAL_FORMATS,
+    up: str = Z_UP,
+    opensim: bool = False,
 ) -> list[Path]:
     """The motion and its report, with warnings about the recording; see ``write_motion``."""
     motion_warnings: list[str] = []
-    files = write_motion(motion, folder, surface, picture, motion_warnings.append, formats)
+    files = write_motion(motion, folder, surface, picture, motion_warnings.append, up, opensim)
     files.append(folder / "report.json")
-    extra = {
-        "recording": recording.path or recording.name,
-        "warnings": [*warnings, *motion_warnings],
-    }
-    write_report(files[-1], motion, extra)
+    recorded = {"recording": recording.path or recording.name}
+    recorded |= {"warnings": [*warnings, *motion_warnings]}
+    write_figures(summarise(motion) | recorded, files[-1])
     for sentence in motion_warnings:
         warn(sentence)
     return files
@@ -223,31 +203,23 @@ def write_motion(
     surface: Surface | None = None,
     picture: bytes | None = None,
     warn: Warn = ignore_warning,
-    formats: MotionFormats = USUAL_FORMATS,
+    up: str = Z_UP,
+    opensim: bool = False,
 ) -> list[Path]:
-    """The motion in every format that others read.
+    """The motion in every format that others read; the files that were written.
 
-    Args:
-        motion: to be written.
-        folder: that is there.
-        surface: motion.glb's skin.
-        picture: its colours.
-        warn: called with a sentence for each file that cannot hold the motion and is left out, or
-            whose angles step, and where recording.rrd will not show every sample.
-        formats: how the files are written.
-
-    Returns:
-        The files that were written.
+    ``warn`` is called with a sentence for each file that cannot hold the motion and is left out, or
+    whose angles step, and where recording.rrd will not show every sample.
     """
     files = [folder / name for name in MOTION_FILES]
-    _write_joints(files[0], motion, formats)
+    _write_joints(files[0], motion, up)
     sentences = {files[1]: write_mot(files[1], motion), files[2]: write_isb(files[2], motion)}
     save_motion(files[3], motion)
     for path in files[4:]:
         if (sentence := write_animation(path, motion, surface, picture)) is not None:
             warn(sentence)
             files.remove(path)
-    if formats.names == OPENSIM:
+    if opensim:
         files.append(folder / OPENSIM_FILE)
         sentences[files[-1]] = write_opensim(files[-1], motion)
     for path, of_file in sentences.items():
@@ -258,9 +230,9 @@ def write_motion(
     return files
 
 
-def _write_joints(path: Path, motion: Motion, formats: MotionFormats) -> None:
+def _write_joints(path: Path, motion: Motion, up: str) -> None:
     """The landmarks over time, which nothing else needs."""
-    R_file_world = R_WORLD_OF_UP[formats.up].T
+    R_file_world = R_WORLD_OF_UP[up].T
     points = motion.joint_positions()
     joints = {
         name: ComputedRows(

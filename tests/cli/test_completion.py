@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from jaxmocap.cli.command import name_of
 from jaxmocap.cli.completion import SHELLS, completion_script
 from jaxmocap.cli.program import COMMANDS, GROUPS, main, make_parser
 from jaxmocap.cli.recording_options import REFINEMENTS
@@ -69,7 +70,7 @@ def test_the_script_is_one_that_bash_reads(script):
 
 @needs_bash
 def test_commands_and_their_kinds_are_offered(script, tmp_path):
-    every = {command.name for command in COMMANDS} | set(GROUPS)
+    every = {name_of(command) for command in COMMANDS} | set(GROUPS)
     assert every <= offered(script, tmp_path, "")
     assert offered(script, tmp_path, "re") == {"retarget"}
     assert offered(script, tmp_path, "silhouette", "mo") == {"model"}
@@ -100,7 +101,7 @@ def test_files_are_offered_by_their_kind(script, tmp_path):
 def test_every_shell_has_a_script_that_names_every_command(shell, capsys):
     code, script, _ = ended(capsys, "--show-completion", shell)
     assert code == 0 and script == completion_script(make_parser(), shell) + "\n"
-    assert all(command.name in script for command in COMMANDS)
+    assert all(name_of(command) in script for command in COMMANDS)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from held_devices import DEVICES, pivoting
 from small_recording import write_small_recording
 
 from jaxmocap.calibration.extrinsics import board_to_world
+from jaxmocap.cli.command import name_of
 from jaxmocap.cli.program import COMMANDS, GROUPS, main
 from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
 from jaxmocap.formats.recordings.recording import Recording, write_recording
@@ -30,8 +31,10 @@ from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import write_photographs
 from jaxmocap.synthetic.recording import write_table_tennis
 
-EXAMPLES = {command.name: command.example for command in COMMANDS} | {
-    f"{group} {kind.name}": kind.example for group, (_, kinds) in GROUPS.items() for kind in kinds
+EXAMPLES = {name_of(command): command.EXAMPLE for command in COMMANDS} | {
+    f"{group} {name_of(kind)}": kind.EXAMPLE
+    for group, kinds in GROUPS.items()
+    for kind in kinds.COMMANDS
 }
 # In turn, in one folder; and the exit code of each: 24 samples determine no video's offset.
 SHORT = {
@@ -138,12 +141,17 @@ def test_an_example_with_recordings_runs(name, tmp_path):
     run(name, tmp_path)
 
 
-@pytest.mark.slow
-def test_the_example_of_silhouette_track_runs(tmp_path):
-    """The demo's recording: its person squats about the origin."""
+@pytest.fixture
+def squatting(tmp_path) -> Path:
+    """The recording of the silhouettes' demo: its person squats about the origin."""
     given = ["silhouette", "demo", "--out", "demo", "--seconds", "0.4"]
     subprocess.run([sys.executable, "-m", "jaxmocap.cli", *given], cwd=tmp_path, check=True)
-    for path in (tmp_path / "demo" / "recording").iterdir():
+    return tmp_path / "demo" / "recording"
+
+
+@pytest.mark.slow
+def test_the_example_of_silhouette_track_runs(squatting, tmp_path):
+    for path in squatting.iterdir():
         path.rename(tmp_path / path.name)
     run("silhouette track", tmp_path)
     report = json.loads((tmp_path / "tracked" / "report.json").read_text())
@@ -151,14 +159,11 @@ def test_the_example_of_silhouette_track_runs(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_example_of_video_runs(tmp_path):
-    """One camera of the demo's recording, whose person squats; MediaPipe's place is taken."""
-    given = ["silhouette", "demo", "--out", "demo", "--seconds", "0.4"]
-    subprocess.run([sys.executable, "-m", "jaxmocap.cli", *given], cwd=tmp_path, check=True)
-    made = tmp_path / "demo" / "recording"
-    (made / "cam_1.mp4").rename(tmp_path / "clip.mp4")
-    camera = Recording.load(made / "recording.toml").videos[0].camera
-    points = read_trc(made / "truth.trc").points()
+def test_the_example_of_video_runs(squatting, tmp_path):
+    """One camera of the recording; MediaPipe's place is taken."""
+    (squatting / "cam_1.mp4").rename(tmp_path / "clip.mp4")
+    camera = Recording.load(squatting / "recording.toml").videos[0].camera
+    points = read_trc(squatting / "truth.trc").points()
     rows = {
         number: LANDMARK_OF.get(name)
         for number, name in zip(NUMBERS, MODELS["COCO_17"], strict=True)

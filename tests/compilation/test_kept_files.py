@@ -12,7 +12,7 @@ import jaxmocap
 from jaxmocap.compilation.programs import Program
 from jaxmocap.pipelines import kept_programs
 from jaxmocap.pipelines.kept_programs import PrivateCache, keep_compiled
-from jaxmocap.pipelines.warmup import CompilationCounts, counting_compilations
+from jaxmocap.pipelines.warmup import counting_compilations
 
 NUMBERS = np.arange(7, dtype=np.float32)
 ON_POSIX = pytest.mark.skipif(
@@ -24,7 +24,7 @@ ON_POSIX = pytest.mark.skipif(
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The cache's folder during a test; afterwards this process keeps what it kept before."""
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(kept_programs, "_warned", set())
+    kept_programs._warn.cache_clear()
     yield tmp_path / "cache"
     monkeypatch.undo()
     keep_compiled()
@@ -32,7 +32,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def compiled(factor: float) -> tuple[list[float], int, int]:
     """What a program that is new to this process returns; programs compiled, and those found."""
-    with counting_compilations(warmed := CompilationCounts("")):
+    with counting_compilations("") as warmed:
         actual = jax.jit(lambda x: x * factor)(NUMBERS)
     return np.asarray(actual).tolist(), warmed.programs, warmed.from_cache
 

@@ -12,28 +12,23 @@ from small_recording import SAMPLES, small_recording, with_frames
 from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines import warmup
-from jaxmocap.pipelines.warmup import CompilationCounts, counting_compilations, first_half_second
+from jaxmocap.pipelines.warmup import counting_compilations, first_half_second
 
 
 def test_programs_are_counted_and_those_that_were_there_apart():
     def fresh():
         return jax.jit(lambda x: jnp.sin(x) * 3 + x.shape[0])
 
-    first, second, outside = (
-        CompilationCounts("first"),
-        CompilationCounts("second"),
-        CompilationCounts("outside"),
-    )
-    with counting_compilations(first):
+    with counting_compilations("first") as first:
         fresh()(np.ones(7, np.float32))
-    with counting_compilations(second):
+    with counting_compilations("second") as second:
         fresh()(np.ones(7, np.float32))
-    with counting_compilations(outside):
+    with counting_compilations("outside") as outside:
         pass
     fresh()(np.ones(8, np.float32))
     assert (first.programs, second.programs, second.from_cache) == (1, 1, 1)
     assert list(first.longest_s) == ["<lambda>"] and first.longest_s["<lambda>"] > 0
-    assert outside == CompilationCounts("outside")
+    assert (outside.programs, outside.from_cache, outside.longest_s) == (0, 0, {})
     assert "0 programs compiled, 1 were there" in second.text()
 
 
@@ -58,7 +53,8 @@ def test_what_is_tracked_is_the_first_half_second_that_has_both():
 
 def test_the_command_tracks_both_ways_and_says_what_it_took(monkeypatch, capsys):
     asked = []
-    monkeypatch.setattr(warmup, "make_tracker", lambda recording, settings: settings.refine)
+    made = lambda recording, settings: settings.refine  # noqa: E731
+    monkeypatch.setattr(warmup.HybridTracker, "from_recording", made)
     monkeypatch.setattr(
         warmup,
         "track",

@@ -13,8 +13,8 @@ import pytest
 from documented_files import write_files_named_by
 
 import jaxmocap
+from jaxmocap.cli.help import TOPICS
 from jaxmocap.cli.program import main, make_parser
-from jaxmocap.cli.topics import TOPICS
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.pipelines.live.setup import load_live
 from jaxmocap.synthetic.recording import write_table_tennis

@@ -32,7 +32,13 @@ from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.outlines import Discs, touch
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette_grid import Grid, cells
-from jaxmocap.pipelines.scaling.lengths_report import VERDICTS, LengthsReport, verdict_of
+from jaxmocap.pipelines.scaling.lengths_report import (
+    DETERMINED,
+    NOT_DETERMINED,
+    PARTLY_DETERMINED,
+    LengthsReport,
+    verdict_of,
+)
 from jaxmocap.smoothing.problem import UNTURNED, Trajectory, Views
 from jaxmocap.solvers.status import Status
 
@@ -152,8 +158,9 @@ def test_a_report_says_of_each_length_whether_it_is_determined(tmp_path):
     person = scaled(stated, jnp.asarray(fit.logarithms, jnp.float32))
     report = LengthsReport.of(stated, person, 1.8, fit, tmp_path / "subject.toml")
     verdicts = {length.name: length.verdict for length in report.lengths}
-    assert verdicts.pop("trunk length") == VERDICTS[0] and verdicts.pop("upper arm") == VERDICTS[1]
-    assert set(verdicts.values()) == {VERDICTS[2]}
+    assert verdicts.pop("trunk length") == DETERMINED
+    assert verdicts.pop("upper arm") == PARTLY_DETERMINED
+    assert set(verdicts.values()) == {NOT_DETERMINED}
     figures = json.loads(json.dumps(report.figures()))
     arm = figures["lengths"]["upper arm"]
     assert arm["bones"] == ["humerus_l"]

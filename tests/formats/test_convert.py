@@ -13,8 +13,7 @@ from jaxmocap.body.orientations import local_turns
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.cli.program import main
-from jaxmocap.evaluation.errors import evaluate_directory
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import evaluate, evaluate_directory
 from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError

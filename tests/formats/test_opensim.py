@@ -20,7 +20,7 @@ from jaxmocap.formats.opensim.coordinates import COORDINATES, write_opensim
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series.mot import read_mot
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
-from jaxmocap.pipelines.writing import MotionFormats, write_motion
+from jaxmocap.pipelines.writing import write_motion
 
 # Joint centres in the model's unscaled bodies, right: the knee in the thigh, the elbow in the
 # upper arm; and how far the next centre is from them.
@@ -230,12 +230,12 @@ def test_angles_begin_near_0_with_hanging_arms_and_a_step_is_a_warning(tmp_path)
     parts: list[Any] = [np.zeros((400, 3)), np.tile([1.0, 0, 0, 0], (400, 1)), angles]
     motion = Motion(skeleton, np.arange(400) / 50, Pose(*parts))
     warnings: list[str] = []
-    write_motion(motion, tmp_path, warn=warnings.append, formats=MotionFormats(names="opensim"))
+    write_motion(motion, tmp_path, warn=warnings.append, opensim=True)
     assert not [each for each in warnings if "steps" in each]
     columns = read_mot(tmp_path / "angles_opensim.mot")[1]
     assert all(abs(np.degrees(columns[f"arm_{name}_r"][0])) < 15 for name in ("flex", "add", "rot"))
     angles[380:, skeleton.tree.joint("elbow_flex_l")] = np.radians(90)
-    write_motion(motion, tmp_path, warn=warnings.append, formats=MotionFormats(names="opensim"))
+    write_motion(motion, tmp_path, warn=warnings.append, opensim=True)
     for file, joint in (("angles", "elbow_flex_l"), ("angles_isb", "elbow_flexion_l"),
                         ("angles_opensim", "elbow_flex_l")):  # fmt: skip
         expected = (
@@ -281,7 +281,7 @@ def test_joints_and_markers_are_written_y_up(suffix, tmp_path, monkeypatch):
 def test_what_is_tracked_is_written_y_up_and_read_again_as_the_same(tmp_path):
     motion, folder = moving_body(), tmp_path / "tracked"
     folder.mkdir()
-    files = write_motion(motion, folder, formats=MotionFormats("y", "opensim"))
+    files = write_motion(motion, folder, up="y", opensim=True)
     assert {"angles.mot", "angles_isb.mot", "angles_opensim.mot"} <= {path.name for path in files}
     marker = "wrist_l = { bone = 'hand_l', at = 0.0 }"
     text = f"[markers]\nfile = 'tracked/joints.trc'\nup = 'y'\n[markers.on]\n{marker}\n"

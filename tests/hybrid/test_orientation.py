@@ -35,10 +35,10 @@ from jaxmocap.formats.recordings.recording import load_markers, write_recording
 from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
 from jaxmocap.formats.time_series.csv import read_csv, write_csv
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.setup import LiveSetup, load_live
 from jaxmocap.pipelines.live.status import _orientation_states
-from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.synthetic.movements import motions
 
 BODY = with_wrists(Skeleton.human(1.75, proportions="winter"))
@@ -423,7 +423,7 @@ def played(tmp_path_factory) -> tuple[Motion, Path]:
     """Half a second of table tennis by head-set and controllers, solved sample by sample."""
     folder = tmp_path_factory.mktemp("played")
     recording = Recording.load(write_controllers(folder, motions.table_tennis(0.5, 1), 0.5, 1))
-    tracker = make_tracker(recording, Settings(refine="none", balance=False))
+    tracker = HybridTracker.from_recording(recording, Settings(refine="none", balance=False))
     state, poses = tracker.init(recording.positions_world[0]), []
     for time, markers in zip(recording.times, recording.positions_world, strict=True):
         state, pose, _ = tracker.step(state, time, markers)

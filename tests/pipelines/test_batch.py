@@ -25,11 +25,10 @@ from jaxmocap.cli.program import main
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.outputs.report import plain, write_report
+from jaxmocap.outputs.report import plain, summarise, write_figures
 from jaxmocap.pipelines.batch import batch, cluster, corpus
 from jaxmocap.pipelines.batch.batch import (
     Job,
-    TrackingOptions,
     jobs_of,
     row_of,
     track_corpus,
@@ -37,7 +36,7 @@ from jaxmocap.pipelines.batch.batch import (
 )
 from jaxmocap.pipelines.batch.corpus import find_recordings, fingerprint, readable_inputs
 
-MARKERS_ONLY = TrackingOptions(Settings(refine="none"))
+MARKERS_ONLY = Settings(refine="none")
 BROKEN = "broken/recording.toml"
 OUTPUTS = {"joints.trc", "motion.npz", "report.json", "recording.rrd", "batch.json", "outputs.json"}
 
@@ -95,10 +94,10 @@ def here(monkeypatch, tracked):
 
     def each_done(client, function, jobs, timeout_s):
         for job in jobs:
-            yield cluster.JobResult(job, function(job), None)
+            yield job, function(job), None
 
     def written(motion, recording, folder, settings, progress):
-        write_report(folder / "report.json", motion)
+        write_figures(summarise(motion), folder / "report.json")
 
     class Nobody:
         def __init__(self, scheduler, workers): ...
@@ -142,20 +141,20 @@ def test_one_failure_leaves_the_others_and_is_reported(ran):
 
 
 def test_a_cluster_is_used_by_its_address_and_goes_on_when_a_process_dies(finished_run, tmp_path):
-    jobs = jobs_of(finished_run, tmp_path / "out", MARKERS_ONLY)
+    jobs = jobs_of(finished_run, tmp_path / "out", MARKERS_ONLY, "own")
     with (
         dask.config.set(cluster.CLUSTER_CONFIG | {"distributed.scheduler.allowed-failures": 0}),
         distributed.LocalCluster(n_workers=1, **cluster.LOCAL_CLUSTER) as elsewhere,
         cluster.cluster_client(elsewhere.scheduler_address, None) as client,
     ):
         answers = {
-            done.job: done
-            for done in cluster.results_as_completed(client, dies_or_answers, range(4))
+            number: done
+            for number, *done in cluster.results_as_completed(client, dies_or_answers, range(4))
         }
-        (broken,) = cluster.results_as_completed(client, track_one, jobs[:1])
-    assert [answers[number].result for number in range(4)] == [None, 2, 4, 6]
-    assert "its process died" in answers[0].problem and answers[1].problem is None
-    assert broken.job.name == BROKEN and "markers.trc" in broken.result
+        ((broken, why, _),) = cluster.results_as_completed(client, track_one, jobs[:1])
+    assert [answers[number] for number in range(1, 4)] == [[2, None], [4, None], [6, None]]
+    assert answers[0][0] is None and "its process died" in answers[0][1]
+    assert broken.name == BROKEN and "markers.trc" in why
 
 
 def test_a_scheduler_that_is_not_there_is_bad_input(monkeypatch):
@@ -173,9 +172,9 @@ def test_a_job_that_does_not_come_back_is_ended_and_the_others_are_done():
 
     with cluster.cluster_client(None, 1) as client:
         jobs = cluster.results_as_completed(client, sleeps_or_answers, range(3), timeout_s=6.0)
-        answers = {each.job: each for each in jobs}
-    assert answers[0].problem == "took longer than 6 s (--job-timeout)"
-    assert [answers[number].result for number in (1, 2)] == [2, 4]
+        answers = {number: done for number, *done in jobs}
+    took = "took longer than 6 s (--job-timeout)"
+    assert answers == {0: [None, took], 1: [2, None], 2: [4, None]}
 
 
 # What is never lost ------------------------------------------------------------------------------
@@ -250,7 +249,7 @@ def test_what_is_no_file_fails_alone(recording, tmp_path, here):
     ):
         path = corpus_folder / name / "recording.toml"
         path.write_text(path.read_text().replace(old, new))
-    actual = track_corpus(corpus_folder, tmp_path / "out", TrackingOptions())
+    actual = track_corpus(corpus_folder, tmp_path / "out")
     assert "good/recording.toml" in {row.recording for row in actual.rows}
     assert {"pipe/recording.toml", "device/recording.toml"} <= set(actual.failures)
 
@@ -304,7 +303,7 @@ def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):
         milliseconds=spent,
         settings=settings,
     )
-    job = Job("a/b.toml", tmp_path / "a/b.toml", tmp_path / "out/a/b", MARKERS_ONLY)
+    job = Job("a/b.toml", tmp_path / "a/b.toml", tmp_path / "out/a/b", MARKERS_ONLY, "own")
     row = row_of(job, replace(tracked, report=changed_report), 1.5)
     expected = corpus.CorpusRow(
         "a/b.toml", SAMPLES, 0.383333, 4.0, 1.5, 0.3, 0.6, round(1 / SAMPLES / 5, 6), "a/b"
@@ -341,7 +340,7 @@ def test_outputs_that_are_not_whole_or_of_something_else_do_not_count(tmp_path):
 @pytest.mark.parametrize("changed", ["markers.trc", "cam.mp4", "calibration.toml", "options"])
 def test_other_inputs_and_settings_are_something_else(recording, tmp_path, changed):
     folder = shutil.copytree(recording, tmp_path / "copy")
-    path, options = folder / "recording.toml", plain(MARKERS_ONLY)
+    path, options = folder / "recording.toml", {"settings": plain(MARKERS_ONLY), "mode": "own"}
     before = fingerprint(path, options)
     assert fingerprint(recording / "recording.toml", options) == before
     if changed == "options":
@@ -379,7 +378,7 @@ def test_recordings_are_toml_files_with_markers_at_any_depth(tmp_path):
     assert actual == ["a.toml", "b/other.toml", "b/recording.toml", "damaged.toml"]
     folders = [
         job.folder.relative_to(tmp_path.resolve() / "out").as_posix()
-        for job in jobs_of(tmp_path, tmp_path / "out", MARKERS_ONLY)
+        for job in jobs_of(tmp_path, tmp_path / "out", MARKERS_ONLY, "own")
     ]
     assert folders == ["a", "b/other", "b/recording", "damaged"]
 

@@ -19,7 +19,8 @@ from jaxmocap.formats.time_series.mot import motion_from_angles, read_mot
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.origin import local_origin
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.pipelines.tracking.track import make_tracker, track
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.pipelines.writing import write_motion
 
 # Some place in Germany by its geodetic coordinates, and as high as it lies.
@@ -52,7 +53,7 @@ def far(tmp_path_factory) -> Recording:
 def both(far) -> tuple[Motion, Motion]:
     """The motion tracked there, and that of the same markers near the origin."""
     small, settings = small_recording(), Settings(refine="none")
-    tracker = make_tracker(small, settings)
+    tracker = HybridTracker.from_recording(small, settings)
     return tuple(track(replace(each, videos=()), tracker=tracker) for each in (far, small))
 
 

@@ -16,10 +16,11 @@ from jaxmocap.calibration.fitting.marker_poses import FIT_POSES, TAILS
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.outputs.report import misfit
 from jaxmocap.pipelines.summary import summary
 from jaxmocap.pipelines.tracking.marked import cheapest
-from jaxmocap.pipelines.tracking.track import make_tracker, track
+from jaxmocap.pipelines.tracking.track import track
 
 SET = '[markers]\nfile = "markers.trc"\nset = "plug-in-gait"\n'
 SUBJECT = "[subject]\nheight = 1.7\n"
@@ -140,7 +141,7 @@ def test_joints_of_real_people_lie_within_what_is_stated(recordings, tmp_path):
 def test_an_elbow_that_turned_through_its_back_is_found_the_right_way_round(twisted, tracked):
     """By the samples beside it, and by its own pose with all joints in their ranges."""
     recording = load_recording(twisted[0] / "recording.toml")
-    model = make_tracker(recording).model
+    model = HybridTracker.from_recording(recording).model
     markers = recording.positions_world[:4].astype(np.float32)
     start = jax.tree.map(lambda part: np.asarray(part[:4], np.float32), tracked.poses)
     right = FIT_POSES(model, start, markers, np.float32(TAILS))

@@ -9,7 +9,8 @@ from turning_head import write_turning_head
 
 from jaxmocap import Recording, Settings
 from jaxmocap.body.kinematics import forward, site_positions
-from jaxmocap.pipelines.tracking.track import make_tracker, track
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.pipelines.tracking.track import track
 
 # What a measured head or hand may be off in 95 % of the samples, metres and degrees.
 HELD_M, HELD_DEG = 0.01, 3.0
@@ -23,7 +24,7 @@ def test_measured_head_and_hands_hold_while_the_head_turns(tmp_path, way, orient
     recording, settings = Recording.load(path), Settings()
     settings = replace(settings, smooth=way == "smoothed")
     poses = jax.tree.map(np.asarray, track(recording, settings, mode="causal").poses)
-    model = make_tracker(recording, settings).model
+    model = HybridTracker.from_recording(recording, settings).model
 
     def placed(pose):
         frames = forward(model.skeleton, pose)

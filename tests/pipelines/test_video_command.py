@@ -14,7 +14,6 @@ from jaxmocap.calibration.standing_person import ANKLE_M, StandingCamera
 from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
-from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.pipelines.keypoints import by_mediapipe
 from jaxmocap.pipelines.keypoints.detect import Detector
@@ -62,19 +61,18 @@ def walker(found: bool = True) -> Detector:
 
 
 def test_a_recording_is_made_of_a_video_and_can_be_refined(clip, tmp_path):
-    made = recording_of_video(clip, 1.75, None, walker(), tmp_path / "recording")
-    assert made.path == tmp_path / "recording" / "recording.toml"
-    recording = Recording.load(made.path)
+    recording, warnings = recording_of_video(clip, 1.75, None, walker(), tmp_path / "recording")
+    assert recording.path == tmp_path / "recording" / "recording.toml"
     (source,) = recording.videos
     assert source.path is not None and source.path.samefile(clip)
     assert source.keypoints is not None and not recording.places
     np.testing.assert_allclose(float(source.camera.position_world[2]), PLACE.height, atol=0.1)
-    assert f"{USUAL_FOV_DEG:g} degrees" in made.warnings[0] and "--fov" in made.warnings[0]
-    assert "above the floor" in made.warnings[1]
+    assert f"{USUAL_FOV_DEG:g} degrees" in warnings[0] and "--fov" in warnings[0]
+    assert "above the floor" in warnings[1]
     # Once more, into the same folder.
-    again = recording_of_video(clip, 1.75, 50.0, walker(), tmp_path / "recording")
-    assert len(again.warnings) == 1
-    focal = float(Recording.load(again.path).videos[0].camera.matrix[0, 0])
+    again, warnings = recording_of_video(clip, 1.75, 50.0, walker(), tmp_path / "recording")
+    assert len(warnings) == 1
+    focal = float(again.videos[0].camera.matrix[0, 0])
     assert focal == pytest.approx(SIZE[1] / 2 / np.tan(np.radians(25)))
 
 

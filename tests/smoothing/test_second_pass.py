@@ -36,9 +36,10 @@ from jaxmocap.evidence.appearance.learned import ROWS, Drawing
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.geometry.cameras import project
 from jaxmocap.hybrid.refine import StepReport
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.silhouette_grid import Grid
 from jaxmocap.pipelines.tracking.motions import unsmoothed
-from jaxmocap.pipelines.tracking.track import make_tracker, track_both
+from jaxmocap.pipelines.tracking.track import track_both
 from jaxmocap.smoothing import batch
 from jaxmocap.smoothing.batch import CameraFrames, smooth_recording
 from jaxmocap.smoothing.linearise import SmoothedPoses
@@ -369,7 +370,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def both_passes(recording):
-    own = make_tracker(recording)
+    own = HybridTracker.from_recording(recording)
     return [track_both(recording, mode=mode, tracker=own) for mode in ("own", "causal")]
 
 

@@ -19,7 +19,6 @@ from jaxmocap.formats.recordings.recording import (
 )
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.synthetic.drawing_camera import look_at
 from jaxmocap.synthetic.recording import write_video
 
@@ -75,7 +74,7 @@ def with_frames(recording: Recording, times: np.ndarray, images: list) -> Record
 @cache
 def compiled() -> HybridTracker:
     """The tracker of the small recording: all who use it share its compilation."""
-    return make_tracker(small_recording())
+    return HybridTracker.from_recording(small_recording())
 
 
 def write_small_recording(folder: Path) -> Path:

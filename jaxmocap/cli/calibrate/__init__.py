@@ -4,6 +4,7 @@ Begin with ``intrinsics``.
 """
 
 from jaxmocap.cli.calibrate import extrinsics, intrinsics
+from jaxmocap.cli.command import Command
 
 PURPOSE = "calibrate a camera by a chessboard"
-COMMANDS = (intrinsics.COMMAND, extrinsics.COMMAND)
+COMMANDS: tuple[Command, ...] = (intrinsics, extrinsics)

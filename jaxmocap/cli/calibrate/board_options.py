@@ -16,12 +16,7 @@ odd). Of a ChArUco board: at the bottom left with its markers upright. --picture
 
 
 def add_board(parser: argparse.ArgumentParser, required: bool) -> None:
-    """Options of the board, of the camera, and of what is written.
-
-    Args:
-        parser: of a kind of ``calibrate``.
-        required: whether there must be a board.
-    """
+    """Options of the board, of the camera, and of what is written."""
     add = parser.add_argument
     add(
         "--board",

@@ -7,7 +7,13 @@ file.
 import argparse
 
 from jaxmocap.cli.calibrate.board_options import BOARD_TEXT, add_board
-from jaxmocap.cli.command import Command, numbers, report
+from jaxmocap.cli.command import numbers, report
+
+PURPOSE = "find where a camera stands"
+EXAMPLE = (
+    "jaxmocap calibrate extrinsics floor.jpg --board 4x7 --square 0.06 --pose "
+    "0.5,1.2,0,0,0,90 --camera cam_01 --out calibration.toml --pictures checked"
+)
 
 POSE_TEXT = """\
 --pose X,Y,Z,RX,RY,RZ is the board's place in the world: its origin in metres, then its rotations in
@@ -18,7 +24,7 @@ file of columns x,y,z,u,v (or name,x,y,z,u,v): metres in the world, pixels in th
 four on a plane, better six or more that are not."""
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     parser.description = f"{parser.description}\n\n{BOARD_TEXT}\n\n{POSE_TEXT}"
     add("image", metavar="IMAGE")
@@ -42,7 +48,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add("--intrinsics", metavar="FILE", help=".toml or OpenCV's .yml; default: what --out holds")
 
 
-def _run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     from jaxmocap.calibration.board.boards import parse_board
     from jaxmocap.calibration.calibration_report import extrinsics_figures, extrinsics_text
     from jaxmocap.calibration.place_camera import PlacementTarget, place_camera
@@ -57,13 +63,3 @@ def _run(options: argparse.Namespace) -> None:
     files = options.out, options.intrinsics, options.pictures
     calibrated = place_camera(options.image, target, options.camera, *files, options.upside_down)
     report(options, extrinsics_text(calibrated), extrinsics_figures(calibrated))
-
-
-COMMAND = Command(
-    name="extrinsics",
-    purpose="find where a camera stands",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap calibrate extrinsics floor.jpg --board 4x7 --square 0.06 "
-    "--pose 0.5,1.2,0,0,0,90 --camera cam_01 --out calibration.toml --pictures checked",
-)

@@ -6,10 +6,16 @@ INPUTS: pictures of a board. OUTPUTS: the camera's section of a calibration file
 import argparse
 
 from jaxmocap.cli.calibrate.board_options import BOARD_TEXT, add_board
-from jaxmocap.cli.command import Command, report
+from jaxmocap.cli.command import report
+
+PURPOSE = "find focal length and lens"
+EXAMPLE = (
+    "jaxmocap calibrate intrinsics board*.jpg --board 4x7 --square 0.06 --camera cam_01 "
+    "--out calibration.toml --pictures checked"
+)
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{BOARD_TEXT}"
     parser.add_argument("paths", metavar="IMAGE|VIDEO", nargs="+", help="10 to 20 views are best")
     add_board(parser, required=True)
@@ -26,7 +32,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     from jaxmocap.calibration.board.boards import parse_board
     from jaxmocap.calibration.board.opencv_lenses import LensKind
     from jaxmocap.calibration.calibrate import calibrate_camera
@@ -42,13 +48,3 @@ def _run(options: argparse.Namespace) -> None:
         options.pictures,
     )
     report(options, intrinsics_text(calibrated), intrinsics_figures(calibrated))
-
-
-COMMAND = Command(
-    name="intrinsics",
-    purpose="find focal length and lens",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap calibrate intrinsics board*.jpg --board 4x7 --square 0.06 "
-    "--camera cam_01 --out calibration.toml --pictures checked",
-)

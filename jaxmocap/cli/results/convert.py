@@ -7,7 +7,10 @@ cannot hold.
 import argparse
 from pathlib import Path
 
-from jaxmocap.cli.command import Command, add_up, picture_size, positive_number, report
+from jaxmocap.cli.command import picture_size, positive_number, report
+
+PURPOSE = "convert a file to another format"
+EXAMPLE = "jaxmocap convert tracked/motion.npz motion.bvh --unit cm"
 
 FORMATS_TEXT = """\
 Markers: .c3d .trc .csv. Motions: .npz .bvh .glb .mot; their joints can become markers. What a
@@ -19,7 +22,7 @@ Calibrations of Qualisys, Vicon, Motive, OpenCap, EasyMocap, Caliscope, FreeMoCa
 .toml: metres, Z up (jaxmocap help calibrate)."""
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{FORMATS_TEXT}"
     parser.add_argument("source", metavar="FROM")
     parser.add_argument("target", metavar="TO")
@@ -30,8 +33,10 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "opensim is for a .mot: the coordinates of OpenSim's full-body model (Rajagopal 2016), "
         "always Y up",
     )
-    add_up(
-        parser, "vertical axis of the .trc, .c3d or .csv written; default: as it is, Z for joints"
+    parser.add_argument(
+        "--up",
+        choices=("z", "y"),
+        help="vertical axis of the .trc, .c3d or .csv written; default: as it is, Z for joints",
     )
     parser.add_argument(
         "--unit",
@@ -67,7 +72,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     from jaxmocap.formats.convert import ConversionOptions, convert_file
     from jaxmocap.formats.files.writing import check_target
 
@@ -86,12 +91,3 @@ def _run(options: argparse.Namespace) -> None:
     warnings = convert_file(options.source, options.target, conversion)
     text = "\n".join([*warnings, f"written  {options.target}"])
     report(options, text, {"files": [options.target], "warnings": warnings})
-
-
-COMMAND = Command(
-    name="convert",
-    purpose="convert a file to another format",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap convert tracked/motion.npz motion.bvh --unit cm",
-)

@@ -5,10 +5,13 @@ INPUTS: a folder that ``track`` wrote, a reference's file. OUTPUTS: errors of ea
 
 import argparse
 
-from jaxmocap.cli.command import Command, files_read, finite_number, pair, report
+from jaxmocap.cli.command import files_read, finite_number, pair, report
+
+PURPOSE = "compare tracked joints with a reference"
+EXAMPLE = "jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow"
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("directory", metavar="DIR", help="what track --out was given")
     parser.add_argument("truth", metavar="TRUTH.trc", help="reference: .trc .csv .c3d .bvh .glb")
     parser.add_argument(
@@ -35,7 +38,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     from jaxmocap.evaluation.errors import evaluate_directory
     from jaxmocap.evaluation.plots import check_picture
     from jaxmocap.evaluation.reliability import by_joint, plot_reliability
@@ -55,12 +58,3 @@ def _run(options: argparse.Namespace) -> None:
         files.append(options.out)
         lines += ["", f"written  {options.out}"]
     report(options, "\n".join(lines), errors.as_dict() | {"files": files})
-
-
-COMMAND = Command(
-    name="evaluate",
-    purpose="compare tracked joints with a reference",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow",
-)

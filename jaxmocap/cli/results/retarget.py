@@ -5,10 +5,13 @@ INPUTS: what ``track`` wrote, another body. OUTPUTS: a folder with that body's m
 
 import argparse
 
-from jaxmocap.cli.command import Command, report
+from jaxmocap.cli.command import report
+
+PURPOSE = "play a tracked motion with another person's body"
+EXAMPLE = "jaxmocap retarget tracked --onto subject.toml --out played"
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="DIR", help="that 'track' wrote, or a motion.npz")
     parser.add_argument(
         "--onto",
@@ -19,7 +22,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
 
 
-def _run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     from jaxmocap.pipelines.retarget import retarget, retargeted_folder, write_retargeted
 
     folder = retargeted_folder(options.out, options.source, options.onto)
@@ -29,12 +32,3 @@ def _run(options: argparse.Namespace) -> None:
     lines = [result.text(files), *(f"warning        {sentence}" for sentence in warnings)]
     written = {"files": [str(path) for path in files], "warnings": warnings}
     report(options, "\n".join(lines), result.figures() | written)
-
-
-COMMAND = Command(
-    name="retarget",
-    purpose="play a tracked motion with another person's body",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap retarget tracked --onto subject.toml --out played",
-)

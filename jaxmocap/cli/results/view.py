@@ -6,10 +6,13 @@ INPUTS: a folder that ``track`` wrote. OUTPUTS: a viewer.
 import argparse
 import sys
 
-from jaxmocap.cli.command import Command, port_number, report
+from jaxmocap.cli.command import port_number, report
+
+PURPOSE = "show what track wrote in the rerun viewer"
+EXAMPLE = "jaxmocap view tracked"
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("directory", metavar="DIR", help="what track --out was given")
     parser.add_argument("--web", action="store_true", help="serve it to a browser, until Ctrl-C")
     parser.add_argument(
@@ -21,7 +24,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     from jaxmocap.pipelines.view import open_viewer, recording_in, serve_page
 
     path = recording_in(options.directory)
@@ -36,12 +39,3 @@ def _run(options: argparse.Namespace) -> None:
         sys.stdout.flush()
 
     viewer.until_interrupted(announce)
-
-
-COMMAND = Command(
-    name="view",
-    purpose="show what track wrote in the rerun viewer",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap view tracked",
-)

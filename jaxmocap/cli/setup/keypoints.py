@@ -7,14 +7,17 @@ file; exit code 1 where somebody was found in no frame of a video.
 import argparse
 from pathlib import Path
 
-from jaxmocap.cli.command import Command, exit_code, report
+from jaxmocap.cli.command import exit_code, report
 from jaxmocap.cli.detector_options import add_detector, detector_of
 from jaxmocap.cli.recording_options import add_cameras, recording_of
+
+PURPOSE = "find 2-D key points in a recording's videos by a detector"
+EXAMPLE = "jaxmocap keypoints recording.toml --detector mediapipe --python mp/bin/python --write"
 
 FOLDER = "keypoints"
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("recording", metavar="RECORDING.toml")
     add_detector(parser)
@@ -23,7 +26,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add_cameras(parser, "of these cameras only")
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     from jaxmocap.formats.files.toml import toml_value
     from jaxmocap.pipelines.keypoints.detect import detect_keypoints, keypoint_entries, put_into
 
@@ -45,12 +48,3 @@ def _run(options: argparse.Namespace) -> int:
     report(options, "\n".join(text), {"videos": figures})
     nobody = [result.camera for result in results if not result.found]
     return exit_code(options, [f"{name}: nobody was found in any frame" for name in nobody])
-
-
-COMMAND = Command(
-    name="keypoints",
-    purpose="find 2-D key points in a recording's videos by a detector",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap keypoints recording.toml --detector mediapipe --python mp/bin/python --write",
-)

@@ -6,7 +6,10 @@ INPUTS: a recording of devices that are turned about resting joints. OUTPUTS: li
 
 import argparse
 
-from jaxmocap.cli.command import Command, numbers, report
+from jaxmocap.cli.command import numbers, report
+
+PURPOSE = "find where devices sit in the hands"
+EXAMPLE = "jaxmocap offsets turning.toml --turning 5,20 --still 0,3"
 
 TURNING_TEXT = """\
 For every marker with an orientation: its offset from its bone's joint, in its own axes.
@@ -16,7 +19,7 @@ down, to the sides, and twisting; nod, turn and tilt the head. Prints lines for 
 with a warning are left out) and their standard deviations."""
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{TURNING_TEXT}"
     parser.add_argument("recording", metavar="RECORDING.toml")
     parser.add_argument(
@@ -34,18 +37,9 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     from jaxmocap.calibration.devices.offsets import find_offsets, offsets_figures, offsets_text
 
     turning = options.turning or (float("-inf"), float("inf"))
     offsets = find_offsets(options.recording, options.still, turning)
     report(options, offsets_text(offsets), offsets_figures(offsets))
-
-
-COMMAND = Command(
-    name="offsets",
-    purpose="find where devices sit in the hands",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap offsets turning.toml --turning 5,20 --still 0,3",
-)

@@ -7,7 +7,6 @@ expected deviations, as text, picture and figures.
 import argparse
 
 from jaxmocap.cli.command import (
-    Command,
     files_read,
     finite_number,
     names,
@@ -16,6 +15,9 @@ from jaxmocap.cli.command import (
     report,
 )
 from jaxmocap.cli.command import positive_whole_number as whole
+
+PURPOSE = "find where to put the camera"
+EXAMPLE = "jaxmocap plan --height 1.75 --room 3,1,2,2 --out plan.png"
 
 MOVEMENTS = ("tennis", "thrust", "reaching", "across", "raises", "squat")
 MOST_CAMERAS = 4
@@ -27,7 +29,7 @@ deviation that a report would state. With a recording its markers show the movem
 are those that stand now. Without one somebody with headset and controllers is drawn."""
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{PLAN_TEXT}"
     parser.add_argument("recording", nargs="?", metavar="RECORDING.toml")
     parser.add_argument(
@@ -81,12 +83,12 @@ def _fields_of_view(text: str) -> tuple[float, ...]:
     return (finite_number(text),)
 
 
-def _run(options: argparse.Namespace) -> None:
-    from jaxmocap.evaluation.floor_plan import plot_floor_plan
+def run(options: argparse.Namespace) -> None:
     from jaxmocap.evaluation.plots import check_picture
     from jaxmocap.formats.files.errors import InputError
     from jaxmocap.formats.recordings.recording import load_recording
     from jaxmocap.pipelines.kept_programs import keep_compiled
+    from jaxmocap.pipelines.planning.floor_plan import plot_floor_plan
     from jaxmocap.pipelines.planning.plan import plan_cameras
     from jaxmocap.pipelines.planning.requirements import Requirements
 
@@ -114,15 +116,6 @@ def _run(options: argparse.Namespace) -> None:
     )
     files = []
     if options.out:
-        plot_floor_plan(options.out, plan.floor_plan(), plan.rows(), ", ".join(plan.joints))
+        plot_floor_plan(options.out, plan)
         files.append(options.out)
     report(options, plan.text(files), plan.figures() | {"files": files})
-
-
-COMMAND = Command(
-    name="plan",
-    purpose="find where to put the camera",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap plan --height 1.75 --room 3,1,2,2 --out plan.png",
-)

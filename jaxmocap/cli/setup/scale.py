@@ -6,8 +6,11 @@ INPUTS: a height, a static trial or a recording. OUTPUTS: subject.toml; its leng
 import argparse
 from pathlib import Path
 
-from jaxmocap.cli.command import Command, files_read, pair, positive_number, report
+from jaxmocap.cli.command import files_read, pair, positive_number, report
 from jaxmocap.formats.files.errors import InputError
+
+PURPOSE = "write a person's body to a file"
+EXAMPLE = "jaxmocap scale --height 1.80 --mass 75 --out subject.toml"
 
 LENGTHS_TEXT = """\
 One of --height, --static and --recording says whose body it is. From a recording every length is
@@ -17,7 +20,7 @@ side, to shoulder height and down, bend and stretch the elbows with the upper ar
 the arms ahead, bend them before the chest, then bend the knees: 6 to 10 s, facing the camera."""
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     parser.description = f"{parser.description}\n\n{LENGTHS_TEXT}"
     add(
@@ -48,7 +51,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add("--out", metavar="FILE", required=True, help="subject.toml")
 
 
-def _run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     from jaxmocap.formats.files.writing import check_target
     from jaxmocap.formats.recordings.subject import check_replaceable
 
@@ -78,12 +81,3 @@ def _run(options: argparse.Namespace) -> None:
         chosen = options.recording, options.height, options.mass
         body = scale_by_recording(options.out, *chosen, progress=True)
     report(options, body.text(), body.figures())
-
-
-COMMAND = Command(
-    name="scale",
-    purpose="write a person's body to a file",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap scale --height 1.80 --mass 75 --out subject.toml",
-)

@@ -6,14 +6,17 @@ The recording's file is not changed.
 
 import argparse
 
-from jaxmocap.cli.command import Command, exit_code, positive_number, report
+from jaxmocap.cli.command import exit_code, positive_number, report
 from jaxmocap.cli.recording_options import add_cameras, recording_of
+
+PURPOSE = "find the videos' offsets from the motion itself"
+EXAMPLE = "jaxmocap sync recording.toml"
 
 # Seconds; the time that it takes grows with them.
 MOST_S = 60.0
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", metavar="RECORDING.toml")
     parser.add_argument(
         "--search",
@@ -25,7 +28,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add_cameras(parser, "find those of these cameras only")
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     from jaxmocap.calibration.sync import estimate_video_offsets, sync_text
     from jaxmocap.formats.files.errors import InputError
 
@@ -36,12 +39,3 @@ def _run(options: argparse.Namespace) -> int:
     report(options, sync_text(videos), {"videos": [video.figures() for video in videos]})
     count = sum(not video.is_found for video in videos)
     return exit_code(options, [f"no offset of {count} of {len(videos)} videos"] if count else [])
-
-
-COMMAND = Command(
-    name="sync",
-    purpose="find the videos' offsets from the motion itself",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap sync recording.toml",
-)

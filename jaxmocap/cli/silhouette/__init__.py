@@ -3,7 +3,8 @@
 Begin with ``track``.
 """
 
+from jaxmocap.cli.command import Command
 from jaxmocap.cli.silhouette import demo, model, track
 
 PURPOSE = "track a person without markers, by silhouettes"
-COMMANDS = (track.COMMAND, demo.COMMAND, model.COMMAND)
+COMMANDS: tuple[Command, ...] = (track, demo, model)

@@ -6,13 +6,16 @@ files, errors against the truth.
 
 import argparse
 
-from jaxmocap.cli.command import Command, positive_number, report, whole_number
+from jaxmocap.cli.command import positive_number, report, whole_number
+
+PURPOSE = "make a synthetic recording by four cameras and track it"
+EXAMPLE = "jaxmocap silhouette demo --out jaxmocap-silhouettes"
 
 # The names of ``synthetic.movements.exercises.EXERCISES``; --help does not load that.
 EXERCISES = ("push_ups", "sit_ups", "arm_raises", "turn", "walking", "jumping", "scissors")
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--out", metavar="DIR", default="jaxmocap-silhouettes", help="default: %(default)s")
     add("--seconds", type=positive_number, default=2.0, help="default: %(default)s")
@@ -25,7 +28,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add("--exercise", choices=EXERCISES, default="arm_raises", help="of the mesh; %(default)s")
 
 
-def _run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.silhouettes.demo import demonstrate_silhouettes
 
@@ -34,12 +37,3 @@ def _run(options: argparse.Namespace) -> None:
     demonstration = demonstrate_silhouettes(options.out, *chosen, progress=True)
     files = "\n".join(f"written  {path}" for path in demonstration.files)
     report(options, f"{demonstration.text()}\n\n{files}", demonstration.as_dict())
-
-
-COMMAND = Command(
-    name="demo",
-    purpose="make a synthetic recording by four cameras and track it",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap silhouette demo --out jaxmocap-silhouettes",
-)

@@ -5,11 +5,18 @@ every step.
 """
 
 import argparse
+from functools import partial
 
-from jaxmocap.cli.command import Command, positive_number, report, whole_number
+from jaxmocap.cli.command import positive_number, report, whole_number
+
+PURPOSE = "make a person's own model of four photographs"
+EXAMPLE = (
+    "jaxmocap silhouette model --front front.png --side side.png --joint joint.png "
+    "--arm-side arm_side.png --calibration calibration.toml --out model"
+)
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     for name, stance in (
         ("front", "arms lifted off the trunk"),
         ("side", "from the left, arms spread towards and away from the camera"),
@@ -46,7 +53,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     from jaxmocap.pipelines.silhouettes import model as modelling
 
     photographs = {name: getattr(options, name) for name in modelling.PHOTOGRAPHS}
@@ -59,16 +66,6 @@ def _run(options: argparse.Namespace) -> None:
         options.height,
         options.reading,
     )
-    files = modelling.write_model(model, folder)
+    files = folder.write(partial(modelling.write_model, model))
     figures = model.figures() | {"files": [str(path) for path in files]}
     report(options, modelling.model_text(model, files), figures)
-
-
-COMMAND = Command(
-    name="model",
-    purpose="make a person's own model of four photographs",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap silhouette model --front front.png --side side.png --joint joint.png "
-    "--arm-side arm_side.png --calibration calibration.toml --out model",
-)

@@ -10,11 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxmocap.cli.command import Command, exit_code, numbers, report, whole_number
+from jaxmocap.cli.command import exit_code, numbers, report, whole_number
 from jaxmocap.cli.recording_options import add_cameras, recording_of
 
 if TYPE_CHECKING:
     from jaxmocap.silhouette.settings import Settings
+
+PURPOSE = "track a recording of one to four cameras"
+EXAMPLE = "jaxmocap silhouette track recording.toml --out tracked --at 0,0,90"
 
 # The bodies of ``body/data``; --help does not load those.
 BODIES = ("torso", "legs", "whole", "supple", "human")
@@ -22,7 +25,7 @@ BODIES = ("torso", "legs", "whole", "supple", "human")
 LEVELS = 3
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", metavar="RECORDING.toml")
     parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
     add_cameras(parser, "use these of the recording's cameras")
@@ -78,7 +81,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     from jaxmocap.body.skeleton import with_joints
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.silhouettes.first_pose import morphing_for, start_pose
@@ -164,12 +167,3 @@ def settings_of(options: argparse.Namespace, by_hand: bool = False) -> Settings:
         settling_rounds=options.settle,
         plan=GREY if options.grey else usual.plan,
     )
-
-
-COMMAND = Command(
-    name="track",
-    purpose="track a recording of one to four cameras",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap silhouette track recording.toml --out tracked --at 0,0,90",
-)

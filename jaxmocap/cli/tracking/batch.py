@@ -6,11 +6,14 @@ failed. What an earlier run has tracked is kept.
 
 import argparse
 
-from jaxmocap.cli.command import Command, exit_code, positive_number, positive_whole_number, report
+from jaxmocap.cli.command import exit_code, positive_number, positive_whole_number, report
 from jaxmocap.cli.recording_options import add_settings, settings_of
 
+PURPOSE = "track every recording in a folder, side by side"
+EXAMPLE = "jaxmocap batch recordings --out tracked --workers 2"
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+
+def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("corpus", metavar="CORPUS_DIR", help="recordings, at any depth")
     add("--out", metavar="DIR", required=True, help="gets a folder for each, and corpus.csv")
@@ -41,13 +44,14 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _run(options: argparse.Namespace) -> int:
-    from jaxmocap.pipelines.batch.batch import TrackingOptions, track_corpus
+def run(options: argparse.Namespace) -> int:
+    from jaxmocap.pipelines.batch.batch import track_corpus
 
     batch = track_corpus(
         options.corpus,
         options.out,
-        TrackingOptions(settings_of(options), options.mode),
+        settings_of(options),
+        options.mode,
         scheduler=options.scheduler,
         workers=options.workers,
         timeout_s=options.job_timeout,
@@ -56,12 +60,3 @@ def _run(options: argparse.Namespace) -> int:
     report(options, batch.text(), batch.figures())
     count = len(batch.failures)
     return exit_code(options, [f"{count} recordings failed"] if count else [])
-
-
-COMMAND = Command(
-    name="batch",
-    purpose="track every recording in a folder, side by side",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap batch recordings --out tracked --workers 2",
-)

@@ -5,17 +5,20 @@ INPUTS: a folder, a duration, a seed. OUTPUTS: the recording, its tracked files,
 
 import argparse
 
-from jaxmocap.cli.command import Command, positive_number, report, whole_number
+from jaxmocap.cli.command import positive_number, report, whole_number
+
+PURPOSE = "make a synthetic recording and track it"
+EXAMPLE = "jaxmocap demo --out jaxmocap-demo"
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--out", metavar="DIR", default="jaxmocap-demo", help="default: %(default)s")
     add("--seconds", type=positive_number, default=6.0, help="default: %(default)s")
     add("--seed", type=whole_number, default=0, help="of person, room, strokes and noise")
 
 
-def _run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     from jaxmocap.pipelines.demo import demonstrate
     from jaxmocap.pipelines.kept_programs import keep_compiled
 
@@ -23,12 +26,3 @@ def _run(options: argparse.Namespace) -> None:
     demonstration = demonstrate(options.out, options.seconds, options.seed, progress=True)
     files = "\n".join(f"written  {path}" for path in demonstration.files)
     report(options, f"{demonstration.table()}\n\n{files}", demonstration.as_dict())
-
-
-COMMAND = Command(
-    name="demo",
-    purpose="make a synthetic recording and track it",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap demo --out jaxmocap-demo",
-)

@@ -6,12 +6,15 @@ Exit code 1 where nothing came in or it was not all recorded, 143 where SIGTERM 
 
 import argparse
 
-from jaxmocap.cli.command import Command, exit_code, positive_number, report
+from jaxmocap.cli.command import exit_code, positive_number, report
 from jaxmocap.cli.recording_options import add_settings, settings_of
 from jaxmocap.pipelines.signals import Terminated
 
+PURPOSE = "track markers and cameras as they come"
+EXAMPLE = "jaxmocap live live.toml --out session"
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+
+def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("setup", metavar="LIVE.toml", help="what to listen to and where to send")
     add("--out", metavar="DIR", help="record there what 'track' reads again")
@@ -41,7 +44,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add("--seconds", metavar="S", type=positive_number, help="how long; default: until Ctrl-C")
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.live.session import live_summary, run_live
 
@@ -60,12 +63,3 @@ def _run(options: argparse.Namespace) -> int:
     if figures["terminated"]:
         raise Terminated
     return exit_code(options, figures["problems"])
-
-
-COMMAND = Command(
-    name="live",
-    purpose="track markers and cameras as they come",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap live live.toml --out session",
-)

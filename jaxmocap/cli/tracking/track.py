@@ -6,11 +6,14 @@ exit code 1 where the body is far off its markers.
 
 import argparse
 
-from jaxmocap.cli.command import Command, add_up, exit_code, positive_number, report
+from jaxmocap.cli.command import exit_code, positive_number, report
 from jaxmocap.cli.recording_options import add_cameras, add_settings, recording_of, settings_of
 
+PURPOSE = "track a recording"
+EXAMPLE = "jaxmocap track recording.toml --out tracked"
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+
+def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("recording", metavar="RECORDING.toml")
     add("--out", metavar="DIR", required=True, help="where to write")
@@ -51,36 +54,29 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         help="write angles_opensim.mot as well: the coordinates of OpenSim's full-body model "
         "(Rajagopal 2016), always Y up",
     )
-    add_up(parser, "vertical axis of joints.trc; default: z")
+    add("--up", choices=("z", "y"), help="vertical axis of joints.trc; default: z")
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     from jaxmocap.capture.checks.sides import exchanged_labels
     from jaxmocap.outputs.report import MISFIT_M
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.summary import figures, misfit, summary
     from jaxmocap.pipelines.tracking.track import track_both
-    from jaxmocap.pipelines.writing import MotionFormats, tracked_folder, write_outputs
+    from jaxmocap.pipelines.writing import OPENSIM_FILE, tracked_folder, write_outputs
 
     keep_compiled()
     settings, recording = settings_of(options), recording_of(options)
     mode = options.mode or ("nearest" if options.paper else "own")
-    formats = MotionFormats(options.up or "z", options.names)
     # Whether the folder can be written to, before any work.
-    tracked_folder(options.out, recording, formats.more_files)
+    tracked_folder(options.out, recording, [OPENSIM_FILE] if options.names else [])
     motion = track_both(recording, settings, mode=mode, progress=True, why=options.why).motion
     warnings = exchanged_labels(recording)
-    files = write_outputs(motion, recording, options.out, settings, True, warnings.append, formats)
+    files = write_outputs(
+        motion, recording, options.out, settings, True, warnings.append,
+        options.up or "z", opensim=options.names is not None,
+    )  # fmt: skip
     given = motion, files, warnings
     report(options, summary(*given), figures(*given))
     problem = misfit(motion, MISFIT_M)
     return exit_code(options, [problem] if problem else [])
-
-
-COMMAND = Command(
-    name="track",
-    purpose="track a recording",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap track recording.toml --out tracked",
-)

@@ -9,13 +9,16 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from jaxmocap.cli.command import Command, exit_code, positive_number, report
+from jaxmocap.cli.command import exit_code, positive_number, report
 from jaxmocap.cli.detector_options import MEDIAPIPE, add_detector, detector_of
+
+PURPOSE = "track a person in a video, by the height alone"
+EXAMPLE = "jaxmocap video clip.mp4 --height 1.75 --out tracked --python mp/bin/python"
 
 FOLDER = "recording"
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("video", metavar="VIDEO", help="of a camera that stands still, of one person")
     add("--height", metavar="M", type=positive_number, required=True, help="of the person, metres")
@@ -30,34 +33,25 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add_detector(parser, MEDIAPIPE)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.silhouettes.keypoints import lost_sentences
     from jaxmocap.pipelines.silhouettes.track import track_silhouettes
-    from jaxmocap.pipelines.silhouettes.video import recording_of_video
+    from jaxmocap.pipelines.silhouettes.video import RECORDING, recording_of_video
     from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results
     from jaxmocap.pipelines.summary import figures, summary
 
     keep_compiled()
     detector, out = detector_of(options), Path(options.out)
-    made = recording_of_video(
+    made, warnings_before = recording_of_video(
         options.video, options.height, options.fov, detector, out / FOLDER, progress=True
     )
     # What was made within the folder is not in the way of what is written to it.
-    made_here, inputs = replace(made.recording, path=None), [Path(options.video)]
+    made_here, inputs = replace(made, path=None), [Path(options.video)]
     results_folder(out, made_here, inputs)
-    followed = track_silhouettes(made.recording, warnings_before=made.warnings, progress=True)
+    followed = track_silhouettes(made, warnings_before=warnings_before, progress=True)
     warnings: list[str] = []
     files = write_results(followed, made_here, out, True, inputs=inputs, warn=warnings.append)
-    given = followed.motion, [made.path, *files], warnings
+    given = followed.motion, [out / FOLDER / RECORDING, *files], warnings
     report(options, summary(*given), figures(*given))
     return exit_code(options, lost_sentences(followed.motion))
-
-
-COMMAND = Command(
-    name="video",
-    purpose="track a person in a video, by the height alone",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap video clip.mp4 --height 1.75 --out tracked --python mp/bin/python",
-)

@@ -7,11 +7,14 @@ they took.
 import argparse
 from dataclasses import asdict
 
-from jaxmocap.cli.command import Command, report
+from jaxmocap.cli.command import report
 from jaxmocap.cli.recording_options import add_settings, settings_of
 
+PURPOSE = "compile what tracking and a live run will need"
+EXAMPLE = "jaxmocap warmup recording.toml"
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "recording",
         metavar="FILE.toml",
@@ -22,7 +25,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
 
 
-def _run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     from jaxmocap.formats.recordings.recording import Recording
     from jaxmocap.pipelines import warmup
     from jaxmocap.pipelines.kept_programs import cache_folder
@@ -37,12 +40,3 @@ def _run(options: argparse.Namespace) -> None:
     lines = [*(each.text() for each in compilations), f"kept in {folder}"]
     figures = {"modes": [asdict(each) for each in compilations], "kept_in": str(folder)}
     report(options, "\n".join(lines), figures)
-
-
-COMMAND = Command(
-    name="warmup",
-    purpose="compile what tracking and a live run will need",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap warmup recording.toml",
-)

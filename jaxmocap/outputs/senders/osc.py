@@ -31,12 +31,9 @@ class Sender(ABC):
     def frame(
         self, time: float, local: Joints, deviations: np.ndarray = UNSTATED
     ) -> Sequence[bytes]:
-        """Those of a pose.
+        """Those of a pose, by its joints in their parents.
 
-        Args:
-            time: seconds since the run began.
-            local: its joints in their parents.
-            deviations: (2,) standard deviations of left and right elbow, metres; NaN unstated.
+        The deviations (2,) are those of left and right elbow, metres; NaN unstated.
         """
 
     def lost(self, time: float) -> Sequence[bytes]:
@@ -46,15 +43,7 @@ class Sender(ABC):
 
 @dataclass(frozen=True)
 class SenderTable:
-    """A table of the live file that asks for a sender.
-
-    Attributes:
-        send: where poses go.
-        kind: of the sender.
-        title: of the protocol.
-        keys: of the table.
-        is_default: whether poses go there where the file has no such table.
-    """
+    """A table of the live file that asks for a sender; one that ``is_default`` does without it."""
 
     send: Address
     kind: ClassVar[Callable[..., Sender]]
@@ -72,7 +61,6 @@ class SenderTable:
         return self.kind(self, body)
 
 
-Argument = str | int | float
 # Bytes of a word, to which OSC aligns everything.
 _WORD = 4
 # Bytes of a bundle's header.
@@ -82,12 +70,8 @@ _HEADER = 16
 class Bundle:
     """A bundle "at once" of messages whose floats, which come last in each, can be changed."""
 
-    def __init__(self, messages: Sequence[tuple[str, Sequence[Argument]]]):
-        """Build it.
-
-        Args:
-            messages: address and arguments of each.
-        """
+    def __init__(self, messages: Sequence[tuple[str, Sequence[str | int | float]]]):
+        """Build it of each message's address and arguments."""
         builder, places, end = OscBundleBuilder(IMMEDIATELY), [], _HEADER
         for address, arguments in messages:
             message = OscMessageBuilder(address)
@@ -109,12 +93,7 @@ class Bundle:
 
 
 class DatagramSender:
-    """Sends datagrams to one address.
-
-    Attributes:
-        sent: how many.
-        failed: how many the system did not take.
-    """
+    """Sends datagrams to one address, and counts those that were sent or that failed."""
 
     def __init__(self, address: Address):
         """Open a socket.

@@ -7,9 +7,8 @@ INPUTS: a folder of recordings. OUTPUTS: a folder per recording as ``track`` wri
 all of them, and why those that failed did.
 """
 
-import json
 import os
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -20,10 +19,9 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import LIST_NAME, OutputFolder
-from jaxmocap.formats.files.writing import write_text
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.outputs.report import plain
+from jaxmocap.outputs.report import plain, write_figures
 from jaxmocap.pipelines.batch.cluster import cluster_client, results_as_completed
 from jaxmocap.pipelines.batch.corpus import (
     RECORD_FILE,
@@ -46,14 +44,6 @@ TABLES = ("corpus.csv", "failures.json")
 
 
 @dataclass(frozen=True)
-class TrackingOptions:
-    """How recordings are tracked: the options of ``track``."""
-
-    settings: Settings = field(default_factory=Settings)
-    mode: Mode = "own"
-
-
-@dataclass(frozen=True)
 class Job:
     """One recording to be tracked; all that is sent to the process that tracks it.
 
@@ -61,27 +51,22 @@ class Job:
         name: of the recording within the corpus.
         recording: its file, an absolute path.
         folder: for its outputs, an absolute path.
-        options: how it is tracked.
+        settings: of the tracker.
+        mode: see ``track``.
         inputs: all files that are read.
     """
 
     name: str
     recording: Path
     folder: Path
-    options: TrackingOptions
+    settings: Settings
+    mode: Mode
     inputs: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
 class Batch:
-    """The results of a corpus.
-
-    Attributes:
-        rows: of the recordings tracked.
-        earlier_count: how many of them an earlier run had tracked.
-        failures: recording -> reason.
-        files: that were written besides the recordings' own.
-    """
+    """The results of a corpus; ``failures`` are recordings and why they failed."""
 
     rows: list[CorpusRow]
     earlier_count: int
@@ -111,7 +96,8 @@ class Batch:
 def track_corpus(
     corpus: str | Path,
     out: str | Path,
-    options: TrackingOptions | None = None,
+    settings: Settings | None = None,
+    mode: Mode = "own",
     *,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -120,23 +106,15 @@ def track_corpus(
 ) -> Batch:
     """Track every recording of a folder; what an earlier run did is not done again.
 
-    Args:
-        corpus: folder; recordings are found at any depth.
-        out: gets a folder named as each recording, and both tables at the end or when interrupted.
-        options: how to track; defaults to those of ``track``.
-        scheduler: address of a Dask cluster whose machines reach both folders by the same paths,
-            or None for processes here.
-        workers: processes here; defaults to one per core.
-        timeout_s: a recording that takes longer fails, seconds; None waits for ever.
-        progress: called with the recordings done and their total; True shows a bar
-            on stderr; None does so on a terminal.
+    The arguments are the options of ``jaxmocap batch``; both tables are written at the end, or when
+    it is interrupted.
 
     Raises:
         InputError: no recordings, no such folder, no scheduler; a folder for outputs that holds
             inputs, or recordings whose outputs would lie within one another.
         OutputError: the tables cannot be written.
     """
-    jobs = jobs_of(corpus, out, options or TrackingOptions())
+    jobs = jobs_of(corpus, out, settings or Settings(), mode)
     folder = OutputFolder(out, "batch", TABLES, [path for job in jobs for path in job.inputs])
     rows: list[CorpusRow] = []
     failures: dict[str, str] = {}
@@ -158,12 +136,11 @@ def track_corpus(
             # Before the cluster is closed, which may take its time.
             with folder.writing() as stage:
                 write_rows(stage / TABLES[0], rows)
-                text = json.dumps(dict(sorted(failures.items())), indent=2, ensure_ascii=False)
-                write_text(stage / TABLES[1], text + "\n")
+                write_figures(dict(sorted(failures.items())), stage / TABLES[1])
     return Batch(rows, earlier_count, failures, [folder.path / name for name in TABLES])
 
 
-def jobs_of(corpus: str | Path, out: str | Path, options: TrackingOptions) -> list[Job]:
+def jobs_of(corpus: str | Path, out: str | Path, settings: Settings, mode: Mode) -> list[Job]:
     """One for each recording.
 
     Raises:
@@ -175,7 +152,8 @@ def jobs_of(corpus: str | Path, out: str | Path, options: TrackingOptions) -> li
             (name := path.relative_to(root)).as_posix(),
             path,
             folder / name.with_suffix(""),
-            options,
+            settings,
+            mode,
             tuple(readable_inputs(path)),
         )
         for path in find_recordings(corpus, out)
@@ -208,17 +186,16 @@ def track_one(job: Job) -> tuple[CorpusRow, bool] | str:
         Its line of the table, and whether an earlier run had tracked it; or why it failed.
     """
     try:
-        mark = fingerprint(job.recording, plain(job.options))
+        mark = fingerprint(job.recording, plain({"settings": job.settings, "mode": job.mode}))
         if earlier := read_record(job.folder, mark):
             return replace(earlier, recording=job.name), True
         began = perf_counter()
         keep_compiled()
         recording = load_recording(job.recording)
         folder = tracked_folder(job.folder, recording, [RECORD_FILE])
-        settings = job.options.settings
-        motion = track(recording, settings, mode=job.options.mode, progress=False)
+        motion = track(recording, job.settings, mode=job.mode, progress=False)
         with folder.writing() as stage:
-            write_tracked(motion, recording, stage, settings, progress=False)
+            write_tracked(motion, recording, stage, job.settings, progress=False)
             row = row_of(job, motion, perf_counter() - began)
             write_record(stage, mark, row)
         return row, False

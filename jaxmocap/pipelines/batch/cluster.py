@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from time import monotonic, sleep
-from typing import Any, NamedTuple
+from typing import Any
 
 from jaxmocap.formats.files.errors import InputError
 
@@ -42,27 +42,9 @@ LOCAL_CLUSTER: dict[str, Any] = {
 }
 
 
-class JobResult(NamedTuple):
-    """One job that has ended.
-
-    Attributes:
-        job: as it was given.
-        result: of the function; None where it has none.
-        problem: why it has none; None where it has one.
-    """
-
-    job: Any
-    result: Any
-    problem: str | None
-
-
 @contextmanager
 def cluster_client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
-    """A client of the scheduler at an address, or of processes of this machine's own.
-
-    Args:
-        scheduler: such as ``tcp://10.0.0.1:8786``, or None.
-        workers: processes, where there is no scheduler; defaults to one per core.
+    """A client of the scheduler at an address, or of processes here, one per core unless stated.
 
     Raises:
         InputError: no scheduler answers there, or dask.distributed is not installed.
@@ -89,14 +71,11 @@ def cluster_client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
 
 def results_as_completed(
     client: Any, function: Callable, jobs: Sequence[Any], timeout_s: float | None = None
-) -> Iterator[JobResult]:
-    """Every job, in the order in which they end; those left are cancelled when the caller stops.
+) -> Iterator[tuple[Any, Any, str | None]]:
+    """Every job, its result and why it has none, one of which is None, in the order they end.
 
-    Args:
-        client: of the cluster.
-        function: of a job.
-        jobs: to be done.
-        timeout_s: that a job may take once it has begun, seconds; its process is then ended.
+    Those left are cancelled when the caller stops. A job that takes longer than ``timeout_s``
+    seconds once it has begun is ended, with its process.
     """
     from distributed import as_completed
 
@@ -110,9 +89,9 @@ def results_as_completed(
                     continue
                 _, job = left.pop(future.key)
                 if future.status == "finished":
-                    yield JobResult(job, future.result(), None)
+                    yield job, future.result(), None
                 else:
-                    yield JobResult(job, None, _reason(future))
+                    yield job, None, _reason(future)
                 # So that the scheduler forgets it.
                 future.release()
             for key, worker in clock.overdue(left):
@@ -121,7 +100,7 @@ def results_as_completed(
                 # One that cannot be ended is left alone.
                 with suppress(Exception):
                     client.restart_workers([worker], timeout=CONNECT_TIMEOUT_S)
-                yield JobResult(job, None, f"took longer than {timeout_s:g} s (--job-timeout)")
+                yield job, None, f"took longer than {timeout_s:g} s (--job-timeout)"
             sleep(POLL_INTERVAL_S)
     finally:
         client.cancel(futures)

@@ -18,8 +18,9 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.files.reading import read_bytes
 from jaxmocap.formats.files.toml import read_toml
-from jaxmocap.formats.files.writing import replacing, write_text
+from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.recordings.recording_files import input_files
+from jaxmocap.outputs.report import write_figures
 from jaxmocap.pipelines.writing import MOTION
 
 # In a tracked recording's folder: a fingerprint of what it was tracked from, and its row.
@@ -101,8 +102,7 @@ def fingerprint(recording: Path, options: Mapping[str, Any]) -> str:
 
 def write_record(folder: Path, mark: str, row: CorpusRow) -> None:
     """Write into the outputs' folder what they were made from, and their row."""
-    text = json.dumps({"fingerprint": mark, "row": asdict(row)}, indent=2, ensure_ascii=False)
-    write_text(folder / RECORD_FILE, text + "\n")
+    write_figures({"fingerprint": mark, "row": row}, folder / RECORD_FILE)
 
 
 def read_record(folder: Path, mark: str) -> CorpusRow | None:

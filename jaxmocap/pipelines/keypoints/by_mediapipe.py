@@ -32,12 +32,7 @@ MAX_ANSWER_BYTES = 2**16
 
 
 def mediapipe_detector(python: str, timeout_s: float = TIMEOUT_S) -> Detector:
-    """The detector of an environment's Python.
-
-    Args:
-        python: such as ``mp/bin/python``.
-        timeout_s: how long it may take to start, and for each frame.
-    """
+    """The detector of an environment's Python, which may take so long to start and for a frame."""
     return Detector(MODEL, lambda: _opened(python, timeout_s))
 
 

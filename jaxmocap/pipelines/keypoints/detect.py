@@ -53,14 +53,7 @@ class Detector(NamedTuple):
 
 
 class DetectedVideo(NamedTuple):
-    """What was found in one video.
-
-    Attributes:
-        camera: its name.
-        file: with the key points; None where nobody was found.
-        frames: of the video.
-        found: in how many of them somebody was found.
-    """
+    """In how many frames of a camera's video somebody was found; the file, None without any."""
 
     camera: str
     file: Path | None
@@ -74,12 +67,6 @@ def detect_keypoints(
     """Detect in every frame of every video, and write what was found.
 
     With markers the person is looked for where the markers' pose is in the image.
-
-    Args:
-        recording: with videos.
-        detector: that finds the points.
-        folder: of the files, one for each camera.
-        progress: called with the frames done and their total; True shows a bar.
 
     Raises:
         InputError: no videos, or a detector that does not work.

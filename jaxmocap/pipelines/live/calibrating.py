@@ -60,12 +60,7 @@ def calibrate_live(
 ) -> dict[str, Any]:
     """Measure somebody who stands still, and put it into the live file.
 
-    Args:
-        setup: of the live file.
-        stance: ``t`` or ``i``.
-        status: takes what the person is to do, and what was measured.
-        stop: ends it early.
-        countdown: seconds until the stance.
+    ``status`` takes what the person is to do, and what was measured.
 
     Returns:
         Figures; empty where it was stopped.

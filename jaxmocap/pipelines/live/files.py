@@ -31,12 +31,7 @@ ENCODER_OPTIONS = {"preset": "ultrafast", "tune": "zerolatency", "crf": "20", "g
 
 
 class GrowingFile:
-    """A new file that grows by complete parts.
-
-    Attributes:
-        path: of it.
-        complete_bytes: up to the end of the last complete part.
-    """
+    """A new file that grows by complete parts; ``complete_bytes`` end the last of them."""
 
     def __init__(self, path: Path):
         """Make it.
@@ -94,12 +89,7 @@ class GrowingFile:
 
 
 class LineFile:
-    """A text file of lines, UTF-8.
-
-    Attributes:
-        line_count: lines on disk, but for the header.
-        lost_count: lines that did not fit there.
-    """
+    """A text file of lines, UTF-8, and how many are on disk, but for the header, or did not fit."""
 
     def __init__(self, path: Path, header: str):
         """Make it.
@@ -160,12 +150,7 @@ class LineFile:
 
 
 class GrowingVideo:
-    """One camera's video, each frame at its own time.
-
-    Attributes:
-        path: of the file.
-        first_time: of the first frame, seconds.
-    """
+    """One camera's video, each frame at its own time; that of the first in seconds."""
 
     def __init__(self, path: Path, frame: LiveFrame):
         """Make it, in the size of its first frame.

@@ -87,13 +87,7 @@ class ReachState:
 
 
 class Live:
-    """One live run.
-
-    Attributes:
-        status: messages and figures of the run.
-        tracking: the tracker.
-        recording: on disk, or None.
-    """
+    """One live run."""
 
     def __init__(
         self,
@@ -107,13 +101,8 @@ class Live:
     ):
         """Open everything and begin to compile; no device is read yet.
 
-        Args:
-            setup: what to listen to, whose body it is, where poses go.
-            settings: of the tracker.
-            smooth: poses wait for two more video frames, 0.1 s at most.
-            out: folder for a recording, or None.
-            viewer: shows poses and frames; must return at once.
-            status: takes messages and figures of the run.
+        Smoothed, poses wait for two more video frames, 0.1 s at most. A recording goes to ``out``.
+        The viewer must return at once.
 
         Raises:
             InputError: what cannot be opened.
@@ -181,15 +170,7 @@ class Live:
             self.recording.add(frame)
 
     def run(self, seconds: float | None = None, stop: threading.Event | None = None) -> dict:
-        """Run until stopped.
-
-        Args:
-            seconds: how long, or None.
-            stop: the event that ends it.
-
-        Returns:
-            Figures of the run.
-        """
+        """Run until stopped, or so many seconds; figures of the run."""
         stop = stop or threading.Event()
         self._began, self._newest_sample = monotonic(), -np.inf
         sources = (self._source, *self._cameras)

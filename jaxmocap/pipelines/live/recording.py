@@ -54,13 +54,7 @@ RECORDING_FILE = "recording.toml"
 
 
 class LiveRecording:
-    """Writes one run.
-
-    Attributes:
-        folder: where.
-        path: of recording.toml, once it is there.
-        dropped: samples and frames that could not be written, or not in time.
-    """
+    """Writes one run; ``dropped`` counts what could not be written, or not in time."""
 
     def __init__(self, setup: LiveSetup, folder: str | Path):
         """Make the folder and begin.

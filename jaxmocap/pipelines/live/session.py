@@ -84,19 +84,7 @@ def run_live(
     countdown: float = COUNTDOWN_S,
     status: LiveStatus | None = None,
 ) -> dict[str, Any]:
-    """Run until Ctrl-C or SIGTERM, or so many seconds.
-
-    Args:
-        path: of the live run's file.
-        out: folder for a recording, or None.
-        smooth: poses wait for two more video frames.
-        settings: of the tracker; defaults to ``Settings()``.
-        seconds: how long, or None.
-        view: show it in rerun's window or in a browser.
-        calibrate: measure first, in a T or an I pose, how devices are held, and put it into the
-            file.
-        countdown: seconds until that pose.
-        status: takes messages and figures of the run.
+    """Run until Ctrl-C or SIGTERM, or so many seconds, with the options of ``jaxmocap live``.
 
     Returns:
         Figures of the run; "problems" are sentences about what it did not do, and "terminated" is

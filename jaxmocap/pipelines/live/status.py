@@ -11,7 +11,7 @@ import sys
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple, TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -43,33 +43,16 @@ LOG_INTERVAL_S = 5.0
 SILENT_S = 0.3
 
 
-class StatusMessage(NamedTuple):
-    """A message.
-
-    Attributes:
-        seconds: since the run began.
-        what: its sentence.
-    """
-
-    seconds: float
-    what: str
-
-
 class LiveStatus:
-    """Counts the outputs of a run and prints its messages.
-
-    Attributes:
-        outputs: number of poses that were sent.
-        message_count: number of messages.
-    """
+    """Counts the outputs of a run and prints its messages."""
 
     def __init__(self, out: TextIO | None = None):
         """Write to a stream; standard error by default."""
         self._out = sys.stderr if out is None else out
         self._is_terminal = self._out.isatty()
         self.outputs = self.message_count = 0
-        self._first: list[StatusMessage] = []
-        self._newest: deque[StatusMessage] = deque(maxlen=NEWEST_KEPT)
+        self._first: list[dict[str, Any]] = []
+        self._newest: deque[dict[str, Any]] = deque(maxlen=NEWEST_KEPT)
         self._latencies: deque[float] = deque(maxlen=LATENCIES_KEPT)
         self._times: deque[float] = deque(maxlen=LATENCIES_SHOWN)
         self._states: dict[str, str] = {}
@@ -88,8 +71,8 @@ class LiveStatus:
         return self._latencies[-1] / 1e3 if self._latencies else float("nan")
 
     @property
-    def messages(self) -> list[StatusMessage]:
-        """The first and the newest messages."""
+    def messages(self) -> list[dict[str, Any]]:
+        """The first and the newest messages: "seconds" since the run began, "what" it is."""
         return [*self._first, *self._newest]
 
     def set_state(self, now: float, subject: str, state: str) -> None:
@@ -112,10 +95,10 @@ class LiveStatus:
 
     def log(self, now: float, sentence: str) -> None:
         """Print a message with its time."""
-        message = StatusMessage(round(now, 3), shortened(printable(sentence)))
+        message = {"seconds": round(now, 3), "what": shortened(printable(sentence))}
         self.message_count += 1
         (self._first if len(self._first) < FIRST_KEPT else self._newest).append(message)
-        self._print(f"{self._clear()}{now:8.2f} s  {message.what}\n")
+        self._print(f"{self._clear()}{now:8.2f} s  {message['what']}\n")
 
     def _print(self, text: str) -> None:
         # A terminal that is gone, or a log on a full disk, ends no run.
@@ -129,10 +112,6 @@ class LiveStatus:
             return float("nan"), float("nan")
         median, most = np.percentile(newest, [50, 99])
         return float(median), float(most)
-
-    def rate(self, now: float) -> float:
-        """Poses that were sent within the last second."""
-        return float(sum(now - time <= 1.0 for time in self._times))
 
     def update_line(
         self,
@@ -158,7 +137,7 @@ class LiveStatus:
         latency = f"latency {median:.1f} ms, 99 % {most:.1f} ms" if np.isfinite(median) else ""
         shown = [
             "" if is_ready else f"compiling {now:.0f} s",
-            f"{self.rate(now):3.0f} /s",
+            f"{sum(now - time <= 1.0 for time in self._times):3.0f} /s",
             latency,
             "dropped " + ", ".join(f"{count} {what}" for what, count in dropped.items()),
             "age " + ", ".join(f"{short_name(name)} {_age(age)}" for name, age in ages.items()),
@@ -188,7 +167,7 @@ class LiveStatus:
             "outputs": self.outputs,
             "rate_hz": self.outputs / seconds if seconds > 0 else 0.0,
             "latency_ms": {"median": median, "p99": most, "of": len(self._latencies)},
-            "warnings": [message._asdict() for message in self.messages],
+            "warnings": self.messages,
             "message_count": self.message_count,
         }
 
@@ -213,15 +192,7 @@ def stream_states(
     now: float,
     places: Sequence[MarkerPlace] = (),
 ) -> Iterator[tuple[str, str]]:
-    """The state of every stream.
-
-    Args:
-        markers: their source.
-        gathering: that makes samples of them.
-        cameras: all of them.
-        now: seconds.
-        places: of the markers.
-    """
+    """The state of every stream at a time, seconds."""
     yield "markers", _markers_state(markers)
     yield "missing", comma_list(gathering.missing(now)) or "none"
     yield from _orientation_states(gathering, places)

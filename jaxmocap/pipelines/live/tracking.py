@@ -79,11 +79,8 @@ class LiveTracking:
     ):
         """Prepare; all compiles in a thread beside, what the markers' poses need first.
 
-        Args:
-            setup: person, markers, cameras.
-            settings: of the tracker.
-            smooth: whether poses are smoothed, two frames late; frames are to be BGR then.
-            tracker: of this person, these markers and cameras, compiled before.
+        Smoothed, poses come two frames late, and frames are to be BGR. A ``tracker`` that was
+        compiled before is of this person, these markers and cameras.
 
         Raises:
             ValueError: something was chosen that has no part in it, see ``unused_setting``.

@@ -1,5 +1,5 @@
 """Where to put the camera, before anything is filmed.
 
 Begin with ``plan``; ``requirements`` is what it must keep to, ``subject`` who moves, ``results``
-what it says.
+what it says, ``floor_plan`` a picture of that.
 """

@@ -53,27 +53,19 @@ def plan_cameras(
     *,
     movement: str = "tennis",
     height: float = 1.75,
-    settings: Settings | None = None,
     progress: Progress | bool | None = None,
 ) -> CameraPlan:
     """Where cameras are worth most, and what else would help.
 
-    What is expected is what a report would state (``smoothing.uncertainty``): a limb that is lost
-    errs by more.
-
-    Args:
-        recording: whose markers show the movement, and whose cameras stand already; None draws one.
-        required: joints, walls, lens.
-        movement: drawn where there is no recording, one of ``MOTIONS``.
-        height: of that person, metres.
-        settings: of the tracker.
-        progress: see ``track``.
+    The movement is that of the recording's markers, whose cameras stand already, or one of
+    ``MOTIONS`` by somebody of a height, metres. What is expected is what a report would state
+    (``smoothing.uncertainty``): a limb that is lost errs by more.
 
     Raises:
         InputError: a recording without markers, or one that is too short; requirements that
             leave no place.
     """
-    required, settings = required or Requirements(), settings or Settings()
+    required, settings = required or Requirements(), Settings()
     bounds, rows = required.bounds(), landmark_rows(required.landmarks())
     weights = np.zeros(len(LANDMARKS), np.float32)
     weights[rows] = 1 / len(rows)

@@ -85,8 +85,7 @@ class Requirements:
     def lens(self, cameras: Sequence[Camera]) -> tuple[Camera, float]:
         """A camera with the widest lens, and by how much it zooms in (natural logarithm).
 
-        Args:
-            cameras: that stand already; the first one's lens holds where none was asked for.
+        Where none was asked for it is that of the first camera that stands already.
 
         Raises:
             InputError: no camera has that field of view.

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.calibration.fitting.camera_plan.placement import BestPlace, Bounds, CameraPlace, Ring
-from jaxmocap.evaluation.floor_plan import FloorPlan, PlacedCamera
 
 
 class CameraPlan(NamedTuple):
@@ -45,19 +44,6 @@ class CameraPlan(NamedTuple):
         return rows + [
             (f"one camera and {name}", error) for name, error in self.with_trackers.items()
         ]
-
-    def floor_plan(self) -> FloorPlan:
-        """The room and the cameras, for a picture."""
-        low, high, ring = self.bounds.least, self.bounds.largest, self.ring
-        return FloorPlan(
-            walls=(float(low.ahead), float(high.ahead), float(low.left), float(high.left)),
-            tried=np.stack([ring.places.ahead, ring.places.left], 1),
-            errors=ring.errors,
-            cameras=tuple(
-                PlacedCamera(float(at.ahead), float(at.left), float(at.yaw), float(np.radians(fov)))
-                for (at, _, _), fov in zip(self.best, self.fields_of_view, strict=True)
-            ),
-        )
 
     def text(self, files: Sequence[object] = ()) -> str:
         """The same as lines."""

@@ -18,15 +18,15 @@ from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.calibration.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.capture.footage import cached_frames, forward_readers
 from jaxmocap.compilation.clock import Clock
-from jaxmocap.evaluation.interval_plot import plot_intervals
 from jaxmocap.evidence.appearance.learned import ROWS
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.recordings.subject import write_subject
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.progress import Progress, progress_bar
-from jaxmocap.pipelines.scaling.lengths_report import VERDICTS, LengthsReport
-from jaxmocap.pipelines.tracking.events import RecordingEvents
+from jaxmocap.pipelines.scaling.lengths_report import LengthsReport, plot_lengths
+from jaxmocap.pipelines.tracking.events import RecordingEvents, open_recording
 from jaxmocap.pipelines.tracking.first_pass import scanned
-from jaxmocap.pipelines.tracking.track import make_tracker, open_recording, with_sight_lines
+from jaxmocap.pipelines.tracking.track import with_sight_lines
 from jaxmocap.smoothing.batch import FINELY, solve_recording
 
 # Hands that move less than this about the head (RMS, metres) show too few postures.
@@ -45,12 +45,8 @@ def scale_by_recording(
 ) -> LengthsReport:
     """Write the body of the person in a recording, and beside it a picture of the estimates.
 
-    Args:
-        out: subject.toml; the picture has its name, and ends in .png.
-        path: of the recording; its [subject] is where the lengths start from.
-        height: metres, in place of that subject.
-        mass: kilograms.
-        progress: see ``track``.
+    The lengths start from its [subject], or from a height (metres) and a mass (kilograms). The
+    picture is named as ``out`` is, and ends in .png.
 
     Raises:
         InputError: a recording that cannot determine lengths; what ``track`` would refuse.
@@ -64,14 +60,14 @@ def scale_by_recording(
     tall = skeleton_stature(stated) if height is None else height
     report = LengthsReport.of(stated, person, tall, fit, Path(out))
     write_subject(out, person, tall, report.lines())
-    plot_intervals(report.picture, report.intervals(), VERDICTS, f"Lengths from {Path(path).name}")
+    plot_lengths(report.picture, report.lengths, f"Lengths from {Path(path).name}")
     return report
 
 
 def fit_recording(recording: Recording, progress: Progress | bool | None = None) -> LengthsFit:
     """Lengths and girths with which a recording's motion costs least; see ``fitting.lengths``."""
     _check_recording(recording)
-    tracker, clock = make_tracker(recording), Clock(False)
+    tracker, clock = HybridTracker.from_recording(recording), Clock(False)
     with progress_bar("fitting lengths", progress) as show:
         opened = open_recording(recording)
         events = RecordingEvents.of(opened.recording, opened.videos, "own", opened.cleaning)

@@ -1,8 +1,9 @@
 """The bone lengths that a recording determines: as text, figures and a picture.
 
-INPUTS: a body before and after, the fit of its lengths. OUTPUTS: text, figures, intervals.
+INPUTS: a body before and after, the fit of its lengths. OUTPUTS: text, figures, a picture file.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 from jaxmocap.body.proportions import GIRTHS, LENGTHS
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.calibration.fitting.lengths import LengthsFit
-from jaxmocap.evaluation.interval_plot import Interval
+from jaxmocap.evaluation.plots import new_panels, save_figure
 
 # A length is determined where its standard deviation given the recording is at most this share of
 # that among people of the stated body.
@@ -21,8 +22,8 @@ PARTLY_SHARE = 0.7
 DETERMINED = "determined"
 PARTLY_DETERMINED = "partly determined"
 NOT_DETERMINED = "not determined by this recording"
-# From the best to the worst.
-VERDICTS = (DETERMINED, PARTLY_DETERMINED, NOT_DETERMINED)
+# Verdict -> colour in the picture, from the best to the worst.
+COLOURS = {DETERMINED: "#1557b0", PARTLY_DETERMINED: "#ef8e19", NOT_DETERMINED: "#9e9e9e"}
 RULE = (
     "Of one side each, breadths from the middle; ± is one standard deviation.",
     f"Determined: ± is at most {DETERMINED_SHARE:.0%} of what it was before; partly: at most "
@@ -65,11 +66,15 @@ class LengthEstimate:
         return verdict_of(self.deviation_before, self.deviation_after)
 
     @property
+    def change(self) -> float:
+        """Against the length as stated: 0 is none, 0.01 one percent."""
+        return self.length_m / self.stated_m - 1
+
+    @property
     def line(self) -> str:
         """All of it as a line of text."""
-        change = self.length_m / self.stated_m - 1
         return (
-            f"{self.name.ljust(16)} {self.length_m:.4f} m ({change:+.1%})  "
+            f"{self.name.ljust(16)} {self.length_m:.4f} m ({self.change:+.1%})  "
             f"± {self.deviation_after:.1%}, before ± {self.deviation_before:.1%}  {self.verdict}"
         )
 
@@ -129,19 +134,6 @@ class LengthsReport:
         written = [f"written  {self.path}", f"written  {self.picture}"]
         return "\n".join([f"{self.height:.3f} m, {mass:.1f} kg", *self.lines(), *written])
 
-    def intervals(self) -> list[Interval]:
-        """Two deviations about each length, before and after, shares of the length as stated."""
-        return [
-            Interval(
-                f"{length.name}\n{length.length_m:.3f} m",
-                length.length_m / length.stated_m - 1,
-                2 * length.deviation_before,
-                2 * length.deviation_after,
-                length.verdict,
-            )
-            for length in self.lengths
-        ]
-
     def figures(self) -> dict:
         """The same for JSON."""
         return {
@@ -156,3 +148,33 @@ class LengthsReport:
             "correlation": self.correlation.tolist(),
             "girth_factors": self.girths,
         }
+
+
+def plot_lengths(path: Path, lengths: Sequence[LengthEstimate], title: str) -> None:
+    """Draw two deviations about each length, before and after, percent of it as stated."""
+    figure, panels = new_panels(1, 1, (7.2, 0.6 + 0.48 * len(lengths)))
+    axes, rows = panels[0, 0], range(len(lengths))
+    widths = [400 * length.deviation_before for length in lengths]
+    axes.barh(rows, widths, 0.62, [-w / 2 for w in widths], color="#e4e4e4", label="before")
+    for verdict, colour in COLOURS.items():
+        chosen = [row for row in rows if lengths[row].verdict == verdict]
+        if chosen:
+            estimates = [100 * lengths[row].change for row in chosen]
+            spread = [200 * lengths[row].deviation_after for row in chosen]
+            axes.errorbar(
+                estimates, chosen, xerr=spread, fmt="o", color=colour, capsize=4, linewidth=2,
+                label=verdict,
+            )  # fmt: skip
+    axes.set_yticks(rows, [f"{length.name}\n{length.length_m:.3f} m" for length in lengths])
+    axes.invert_yaxis()
+    ends = [
+        max(2 * length.deviation_before, abs(length.change) + 2 * length.deviation_after)
+        for length in lengths
+    ]
+    axes.axvline(0, color="#888888", linewidth=0.8)
+    axes.set_xlim(-108 * max(ends), 108 * max(ends))
+    axes.set_xlabel("change against what was stated [%], ± 2 standard deviations")
+    axes.grid(False, axis="y")
+    axes.set_axisbelow(True)
+    figure.legend(loc="outside lower center", frameon=False, ncols=4, fontsize="small")
+    save_figure(figure, path, title)

@@ -9,14 +9,14 @@ of a mesh photographs and model as well.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import LANDMARKS, WINTER, with_joints
-from jaxmocap.evaluation.errors import Errors
-from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.errors import Errors, evaluate
 from jaxmocap.evaluation.plots import plot_joint_errors
 from jaxmocap.evaluation.tables import format_table
 from jaxmocap.formats.files.errors import InputError
@@ -62,15 +62,7 @@ JOINTS = {
 
 @dataclass(frozen=True)
 class SilhouetteDemo:
-    """What the demo shows.
-
-    Attributes:
-        motion: by silhouettes.
-        errors: of the joints' places.
-        bend_errors_deg: hinge -> mean error of how far it is bent, degrees.
-        before: both errors without the person's own model, where there is one.
-        files: that were written.
-    """
+    """What the demo shows: errors of joints and of hinges' bends, and both before the model."""
 
     motion: Motion
     errors: Errors
@@ -110,16 +102,7 @@ def demonstrate_silhouettes(
     kind: str = "arm_raises",
     progress: bool = False,
 ) -> SilhouetteDemo:
-    """Make a recording, track it, compare it with the truth, and write it all down.
-
-    Args:
-        directory: is made where missing; the recording goes to ``recording`` in it.
-        seconds: duration.
-        seed: of rooms, movement and noise.
-        person: file of a rigged mesh; a simple person made here squats without it.
-        kind: the mesh's exercise.
-        progress: show bars on stderr.
-    """
+    """Make a recording, track it, compare it with the truth; see ``silhouette demo``."""
     if seconds > MOST_S:
         raise InputError("--seconds", f"found {seconds:g}, expected at most {MOST_S:g}")
     folder = Path(directory)
@@ -145,7 +128,7 @@ def demonstrate_silhouettes(
         written = write_into(result, recording, stage, progress, own)
         runs = [errors] if before is None else [before[0], errors]
         named: dict[str, Errors] = dict(zip(MODEL_RUNS, runs, strict=False))
-        plot_joint_errors(stage / PLOT_FILE, named, "Position errors")
+        plot_joint_errors(stage / PLOT_FILE, named)
         return [*written, stage / PLOT_FILE]
 
     files += outputs.write(write)
@@ -160,7 +143,7 @@ def photograph_and_model(folder: Path, person: str, seed: int) -> list[Path]:
         write_photographs(stage, load_rig(person, seed=seed), seed)
     files = {name: taken.path / f"{name}.png" for name in PHOTOGRAPHS}
     calibration, model = taken.path / "calibration.toml", model_folder(folder / "model")
-    return write_model(model_from(files, calibration, model.path), model)
+    return model.write(partial(write_model, model_from(files, calibration, model.path)))
 
 
 def tracked_from_truth(

@@ -29,11 +29,7 @@ def morphing_for(
 ) -> Morphing:
     """What goes along with the joints of a person.
 
-    Args:
-        skeleton: of the person, with the joints that move them.
-        surface: their own; a generic one without it.
-        go_along: shoulders with raised arms.
-        file: what goes along instead, such as ``body/data/shoulder.toml``.
+    Shoulders with raised arms, or what a file has, such as ``body/data/shoulder.toml``.
 
     Raises:
         InputError: the file cannot be used, or the body's shoulders cannot go along.

@@ -117,12 +117,7 @@ LOST = "lost: "
 
 
 def check_determined(recording: Recording, markers: bool, guess: bool) -> tuple[str, ...]:
-    """Warnings about cameras that determine depth badly.
-
-    Args:
-        recording: with its cameras.
-        markers: whether its markers are followed.
-        guess: whether one camera alone is tracked all the same.
+    """Warnings about cameras that determine depth badly; ``markers``, whether they are followed.
 
     Raises:
         InputError: one camera alone, and no guess.

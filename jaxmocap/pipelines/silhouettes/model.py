@@ -7,9 +7,7 @@ OUTPUTS: a Modelled; ``model.npz`` (rings, mesh, joints), ``report.json`` and pi
 the person for other commands and programs, as ``silhouette_person`` has it.
 """
 
-import json
 from collections.abc import Iterable, Mapping
-from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
@@ -20,7 +18,8 @@ from jaxmocap.capture.photographs import read_photograph, write_picture
 from jaxmocap.formats.cameras.calibration import camera_of, read_sections
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
-from jaxmocap.formats.files.writing import replacing, write_text
+from jaxmocap.formats.files.writing import replacing
+from jaxmocap.outputs.report import write_figures
 from jaxmocap.pipelines.silhouettes.person import PERSON_FILES, write_person
 from jaxmocap.silhouette.modelling.measurements import girths
 from jaxmocap.silhouette.modelling.person import PersonModel, StanceError, person_model
@@ -82,15 +81,7 @@ def model_from(
     height: float | None = None,
     reading: str = "own",
 ) -> ModelResult:
-    """Make a model of photographs.
-
-    Args:
-        files: the four ``PHOTOGRAPHS``.
-        calibration: a .toml file.
-        out: a folder, where a refused photograph's picture goes.
-        bottom: row of the trunk's bottom line in the front photograph; by default found.
-        height: of the body, metres, which gives the legs' length; by default guessed.
-        reading: a name of ``READINGS``.
+    """Make a model of the four ``PHOTOGRAPHS``, with the options of ``silhouette model``.
 
     Raises:
         InputError: a photograph or the calibration cannot be used.
@@ -125,30 +116,13 @@ def model_from(
 
 
 def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> OutputFolder:
-    """The folder for a person's model, checked before any work; see ``OutputFolder``.
-
-    Args:
-        directory: of the outputs.
-        inputs: photographs and calibration.
-    """
+    """The folder for a person's model, checked before any work; see ``OutputFolder``."""
     pictures = [f"{name}{kind}.png" for name in PHOTOGRAPHS for kind in ("", REFUSED)]
     return OutputFolder(directory, "model", [*FILES, *pictures, *PERSON_FILES], inputs)
 
 
-def write_model(modelled: ModelResult, folder: OutputFolder) -> list[Path]:
-    """Write model, report and pictures.
-
-    Returns:
-        What was written.
-
-    Raises:
-        OutputError: the disk is full; what was there is as it was.
-    """
-    return folder.write(partial(_write, modelled))
-
-
-def _write(modelled: ModelResult, directory: Path) -> list[Path]:
-    """All files into a folder that is there."""
+def write_model(modelled: ModelResult, directory: Path) -> list[Path]:
+    """Write model, report and pictures into a folder that is there; their paths."""
     model = modelled.model
     vertices, faces = joined_meshes([model.trunk.rings, *model.arms])
     files = [directory / "model.npz", directory / "report.json"]
@@ -163,7 +137,7 @@ def _write(modelled: ModelResult, directory: Path) -> list[Path]:
             vertices=vertices,
             faces=faces,
         )
-    write_text(files[1], json.dumps(modelled.figures(), indent=2) + "\n")
+    write_figures(modelled.figures(), files[1])
     for name, picture in pictures(modelled).items():
         files.append(write_picture(directory / f"{name}.png", picture))
     views = [drawing.shaded(vertices, faces, turn) for turn in (0.0, 0.8)]

@@ -38,13 +38,7 @@ PERSON_FILES = (SUBJECT, SURFACE, TEXTURE, "model.glb", "person.png")
 
 
 class Person(NamedTuple):
-    """Somebody's body.
-
-    Attributes:
-        skeleton: their bones.
-        surface: around them.
-        picture: a PNG file's content, the surface's colours; None without one.
-    """
+    """Somebody's body; the picture, a PNG file's content, is the surface's colours."""
 
     skeleton: Skeleton
     surface: Surface
@@ -57,14 +51,7 @@ def write_person(
     views: Mapping[str, PhotographView],
     directory: str | Path,
 ) -> list[Path]:
-    """Write the files; their paths.
-
-    Args:
-        person: the shape by the photographs.
-        images: photograph -> (H, W, 3) BGR uint8.
-        views: photograph -> mask and camera.
-        directory: where to.
-    """
+    """Write the shape by the photographs, and its colours; the files."""
     files = [Path(directory) / name for name in PERSON_FILES]
     thick = with_thickness(person.skeleton, person.surface)
     basis = "Lengths and diameters by four photographs; what they do not show, by the stature."
@@ -84,10 +71,6 @@ def write_person(
 
 def with_model(recording: Recording, model: str | Path | None) -> tuple[Recording, Person | None]:
     """The recording with a model's bones, and the person of the model; as it is without a model.
-
-    Args:
-        recording: of that person.
-        model: a folder that ``silhouette model`` wrote.
 
     Raises:
         InputError: a file of the folder is missing or cannot be used.

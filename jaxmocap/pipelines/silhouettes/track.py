@@ -71,13 +71,7 @@ class Masks(NamedTuple):
 
 
 class SilhouetteResult(NamedTuple):
-    """A recording, tracked by silhouettes.
-
-    Attributes:
-        motion: with a report.
-        masks: camera -> what was segmented.
-        surface: of the person, as the last pass had it.
-    """
+    """A recording, tracked by silhouettes, and the person's surface as the last pass had it."""
 
     motion: Motion
     masks: dict[str, Masks]
@@ -122,11 +116,7 @@ def make_silhouette_tracker(
 ) -> SilhouetteTracker:
     """The tracker of a recording's person by its cameras, and by its markers where asked for.
 
-    Args:
-        recording: with one or several videos.
-        settings: of the tracker.
-        markers: follow them too.
-        surface: of the person, around the recording's skeleton; a generic one without it.
+    A surface is that of the person, around the recording's skeleton; a generic one without it.
 
     Raises:
         InputError: it has no video, or not the markers.
@@ -177,7 +167,8 @@ def track_silhouettes(
         InputError: no video, nobody in any frame, or nothing that says where the person begins.
     """
     settings = settings or Settings()
-    recording, footage, guide, warnings = _open(recording, settings, markers, start, surface)
+    recording, footage, warnings = _open(recording, settings, markers, start, surface)
+    guide = footage.guide
     tracker = make_silhouette_tracker(recording, settings, markers, surface)
     if start is None:
         if guide is None:
@@ -238,7 +229,7 @@ def _open(
     markers: bool,
     start: Pose | None,
     surface: Surface | None,
-) -> tuple[Recording, _Footage, KeypointGuide | None, tuple[str, ...]]:
+) -> tuple[Recording, _Footage, tuple[str, ...]]:
     """The recording, its bones as key points have them; its videos, which frames belong together.
 
     Followed markers on bones that the body's joints do not move are none. A person's own surface
@@ -262,7 +253,7 @@ def _open(
         positions = interpolate_markers(recording.times, recording.positions_world, times)
         tree = with_joints(recording.skeleton, settings.body).tree
         positions = np.where(moved_bones(tree)[sites.bone_indices][:, None], positions, np.nan)
-    return recording, _Footage(videos, times, indices, positions, guide), guide, tuple(warnings)
+    return recording, _Footage(videos, times, indices, positions, guide), tuple(warnings)
 
 
 def _report(

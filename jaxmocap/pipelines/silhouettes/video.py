@@ -6,7 +6,6 @@ INPUTS: a video, the person's height, a detector. OUTPUTS: in a folder ``recordi
 
 import os
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,20 +31,6 @@ FILM_MM = 36.0
 SOMEWHERE = StandingCamera(1.3, 0.0, np.zeros(2))
 
 
-class VideoRecording(NamedTuple):
-    """A recording made of a video.
-
-    Attributes:
-        recording: with key points.
-        path: of its file.
-        warnings: for the user.
-    """
-
-    recording: Recording
-    path: Path
-    warnings: tuple[str, ...]
-
-
 def recording_of_video(
     video: str | Path,
     height: float,
@@ -53,17 +38,14 @@ def recording_of_video(
     detector: Detector,
     folder: str | Path,
     progress: Progress | bool | None = None,
-) -> VideoRecording:
+) -> tuple[Recording, tuple[str, ...]]:
     """Find key points in a video, place its camera above the floor, and write the recording.
 
-    Args:
-        video: of a camera that stands still.
-        height: of the person, metres.
-        fov_deg: field of view along the longer side, degrees; None takes the file's, or else
-            ``USUAL_FOV_DEG``.
-        detector: of the key points.
-        folder: of the recording, is made where missing.
-        progress: called with the frames done and their total; True shows a bar.
+    The height is in metres; the field of view in degrees along the longer side, None takes the
+    file's, or else ``USUAL_FOV_DEG``.
+
+    Returns:
+        The recording, with key points, and warnings for the user.
 
     Raises:
         InputError: no video, nobody's height, no field of view, a detector that does not work, or
@@ -92,7 +74,7 @@ def recording_of_video(
     write(SOMEWHERE, keypoints=True)
     place, more = _place(Recording.load(path), lens, skeleton)
     write(place, keypoints=True)
-    return VideoRecording(Recording.load(path), path, (*warnings, *more))
+    return Recording.load(path), (*warnings, *more)
 
 
 def _lens(video: Video, fov_deg: float | None) -> tuple[Camera, list[str]]:

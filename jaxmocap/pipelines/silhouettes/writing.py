@@ -52,20 +52,9 @@ def write_results(
     inputs: Iterable[Path] = (),
     warn: Warn = ignore_warning,
 ) -> list[Path]:
-    """Write all files.
+    """Write all files; see ``pipelines.writing.write_outputs``.
 
-    Args:
-        result: from the recording.
-        recording: with its videos.
-        directory: is made where missing; see ``pipelines.writing.write_outputs``.
-        progress: called with the frames drawn and their total; True shows a bar
-            on stderr; None does so on a terminal.
-        person: who was tracked: if their colours were measured, their own surface is the skin.
-        inputs: files that were read besides the recording's.
-        warn: called with a sentence for each file that cannot hold the motion and is left out.
-
-    Returns:
-        The files, in the order in which they were written.
+    The skin is the person's own surface, if its colours were measured.
 
     Raises:
         InputError: see ``tracked_folder``.

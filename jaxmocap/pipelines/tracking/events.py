@@ -3,24 +3,30 @@
 Warnings are sentences that a user reads in the report. They hold no figures, so that the report can
 count them.
 
-INPUTS: a Recording, its videos; a StepReport, images. OUTPUTS: RecordingEvents; warnings.
+INPUTS: a Recording; a StepReport, images. OUTPUTS: its open files, RecordingEvents; warnings.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxmocap.body.motion import UNDETERMINED_M
-from jaxmocap.capture.filters import Cleaning
+from jaxmocap.calibration.static_trial import measured_bones
+from jaxmocap.capture.checks.lengths import check_stretched_arms
+from jaxmocap.capture.filters import Cleaning, filter_markers
+from jaxmocap.capture.footage import open_footage
+from jaxmocap.capture.keypoints import open_keypoints
 from jaxmocap.capture.markers import interpolate_markers, median_interval
 from jaxmocap.capture.timeline import Mode, Timeline, build_timeline
 from jaxmocap.capture.video import FrameSource
+from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.refine import StepReport
+from jaxmocap.outputs.report import SIDES
 from jaxmocap.solvers.status import SENTENCES, Status
 
-SIDES = ("left", "right")
 # An image whose brightness varies by less (of 255) shows nothing.
 BLANK_RANGE = 12
 # A frame further away than this many of its video's intervals is not near.
@@ -104,6 +110,43 @@ class RecordingEvents:
         for source, missing in zip(self.recording.videos, self.without_video, strict=False):
             if missing[sample]:
                 yield f"{source.camera_name}: no video frame near this sample"
+
+
+class Opened(NamedTuple):
+    """A recording, its files open and its markers cleaned.
+
+    Attributes:
+        recording: with cleaned markers.
+        videos: one per camera.
+        keypoints: of each video; None where it has none.
+        cleaning: what filters did to the markers.
+        warnings: for the user.
+    """
+
+    recording: Recording
+    videos: list[FrameSource]
+    keypoints: tuple[Detections | None, ...]
+    cleaning: Cleaning
+    warnings: tuple[str, ...]
+
+
+def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
+    """Open a recording's videos and key points, and clean its markers.
+
+    All that can be wrong with them is found before anything takes its time.
+
+    Raises:
+        InputError: a video or key points that cannot be used with the recording.
+    """
+    videos, warnings = open_footage(recording.require_markers())
+    if recording.path is not None and recording.videos:
+        stretched = check_stretched_arms(recording, measured_bones(recording.path))
+        warnings += tuple(f"{recording.path}: {finding.sentence}" for finding in stretched)
+    recording, cleaning = filter_markers(recording, causal=mode == "causal")
+    warnings += cleaning.warnings
+    keypoints = tuple(map(open_keypoints, recording.videos, videos))
+    warnings += tuple(warning for each in keypoints if each for warning in each.warnings)
+    return Opened(recording, videos, keypoints, cleaning, warnings)
 
 
 def step_warnings(report: StepReport) -> Iterator[str]:

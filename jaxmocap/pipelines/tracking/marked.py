@@ -78,11 +78,7 @@ def followed(
 ) -> MarkedPass:
     """Fit lengths and places where the recording wants it, and follow the markers.
 
-    Args:
-        events: of the recording.
-        tracker: of its person and markers.
-        show: called with the events done and their total.
-        causal: nothing is fitted by later samples, and each event goes on from the one before.
+    Causally nothing is fitted by later samples, and each event goes on from the one before.
     """
     markers = np.asarray(events.markers_world, tracker.model.dtype)
     chosen = np.zeros(1, int)

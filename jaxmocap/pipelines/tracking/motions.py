@@ -31,12 +31,7 @@ EVENTS_A_CALL = 64
 
 
 class Tracked(NamedTuple):
-    """One run over a recording, twice.
-
-    Attributes:
-        motion: by markers and video.
-        markers_only: the same steps without the video.
-    """
+    """One run over a recording: the motion, and that of the same steps without the video."""
 
     motion: Motion
     markers_only: Motion
@@ -85,16 +80,7 @@ def motions(
     milliseconds: dict[str, list[float]],
     settings: dict,
 ) -> Tracked:
-    """All samples as arrays, NaN before the first one with a marker.
-
-    Args:
-        model: that was tracked.
-        events: of the recording.
-        first_pass: over them.
-        trajectory: of the events, with deviations.
-        milliseconds: of the stages.
-        settings: for the report.
-    """
+    """All samples as arrays, NaN before the first one with a marker; settings for the report."""
     person = trajectory.person(model.skeleton) if len(trajectory.proportions) else model.skeleton
     # Distances (E, M) of markers from the body, metres; turns (E, 2) of elbows by the video.
     each = trajectory.poses, first_pass.reports.marker_pose, first_pass.markers_world

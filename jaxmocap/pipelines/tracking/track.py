@@ -11,7 +11,6 @@ INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its R
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import perf_counter
-from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -19,13 +18,10 @@ import numpy as np
 from jaxmocap.body.motion import Motion, landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import landmark_rows
-from jaxmocap.calibration.static_trial import measured_bones
-from jaxmocap.capture.checks.lengths import check_stretched_arms
-from jaxmocap.capture.filters import Cleaning, check_cutoff, filter_markers
-from jaxmocap.capture.footage import cached_frames, forward_readers, open_footage
-from jaxmocap.capture.keypoints import marked_landmarks, open_keypoints, select_person
+from jaxmocap.capture.filters import check_cutoff
+from jaxmocap.capture.footage import cached_frames, forward_readers
+from jaxmocap.capture.keypoints import marked_landmarks, select_person
 from jaxmocap.capture.timeline import Mode, Timeline
-from jaxmocap.capture.video import FrameSource
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.appearance.learned import ROWS
 from jaxmocap.evidence.keypoints import SightLines, lines_of_sight
@@ -35,7 +31,7 @@ from jaxmocap.hybrid.settings import Settings, unused_setting
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
-from jaxmocap.pipelines.tracking.events import RecordingEvents
+from jaxmocap.pipelines.tracking.events import Opened, RecordingEvents, open_recording
 from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
 from jaxmocap.pipelines.tracking.marked import MarkedPass, followed, is_marked
 from jaxmocap.pipelines.tracking.motions import Tracked, gathered, low_passed, motions, unsmoothed
@@ -73,7 +69,7 @@ def track(
             poses are smoothed by what came before and by at most two more video frames, or 0.1 s.
         progress: called with the events done and their total, then with the percent of the second
             pass done and 100; True shows a bar on stderr, None does so on a terminal.
-        tracker: of ``make_tracker`` for this recording, so that it compiles once for several
+        tracker: of this recording, so that it compiles once for several
             runs; its settings hold.
 
     Returns:
@@ -119,7 +115,7 @@ def track_both(
     """
     clock, causal, began = Clock(), mode == "causal", perf_counter()
     opened = open_recording(recording, mode)
-    tracker = tracker or make_tracker(opened.recording, settings)
+    tracker = tracker or HybridTracker.from_recording(opened.recording, settings)
     used = opened.videos if tracker.model.camera_count else []
     events = RecordingEvents.of(opened.recording, used, mode, opened.cleaning)
     marked = not (causal and used) and is_marked(tracker)
@@ -157,6 +153,9 @@ def track_both(
     # Each camera's estimated rotation against its calibration, a vector in its frame.
     turns = [] if trajectory is None else np.degrees(trajectory.turns_cam).tolist()
     left_out = trajectory and trajectory.left_out
+    people = CALIBRATED_ON["markers" if not used else "causal" if causal else "video"]
+    # Within which a smoothed causal pose is given out.
+    latency = ({"video frames": DELAY_FRAMES} if used else {}) | {"seconds": DELAY_S}
     figures = {
         "recording": recording.path or recording.name,
         "mode": mode,
@@ -167,8 +166,8 @@ def track_both(
         "tracker": tracker.settings,
         "camera_turns_deg": dict(zip(cameras, turns, strict=False)),
         "deviations_without_m": deviations_without(left_out or (), recording.marker_names, cameras),
-        "deviations": {"calibrated_on": _calibrated_on(tracker.settings.smooth, used, causal)},
-        "latency": _longest_wait(bool(used)) if smoother else {},
+        "deviations": {"calibrated_on": people if tracker.settings.smooth else None},
+        "latency": latency if smoother else {},
         "video_frames": int((events.timeline.frame_index >= 0).any(-1).sum()) if used else 0,
         "seconds": {"first pass": passed - began, "second pass": perf_counter() - passed},
     }
@@ -179,43 +178,6 @@ def track_both(
     if cutoff:
         ended = ended._replace(poses=_low_passed(events, ended.poses, tracker, cutoff))
     return motions(tracker.model, events, first, ended, clock.milliseconds, plain(figures))
-
-
-class Opened(NamedTuple):
-    """A recording, its files open and its markers cleaned.
-
-    Attributes:
-        recording: with cleaned markers.
-        videos: one per camera.
-        keypoints: of each video; None where it has none.
-        cleaning: what filters did to the markers.
-        warnings: for the user.
-    """
-
-    recording: Recording
-    videos: list[FrameSource]
-    keypoints: tuple[Detections | None, ...]
-    cleaning: Cleaning
-    warnings: tuple[str, ...]
-
-
-def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
-    """Open a recording's videos and key points, and clean its markers.
-
-    All that can be wrong with them is found before anything takes its time.
-
-    Raises:
-        InputError: a video or key points that cannot be used with the recording.
-    """
-    videos, warnings = open_footage(recording.require_markers())
-    if recording.path is not None and recording.videos:
-        stretched = check_stretched_arms(recording, measured_bones(recording.path))
-        warnings += tuple(f"{recording.path}: {finding.sentence}" for finding in stretched)
-    recording, cleaning = filter_markers(recording, causal=mode == "causal")
-    warnings += cleaning.warnings
-    keypoints = tuple(map(open_keypoints, recording.videos, videos))
-    warnings += tuple(warning for each in keypoints if each for warning in each.warnings)
-    return Opened(recording, videos, keypoints, cleaning, warnings)
 
 
 def with_sight_lines(opened: Opened, events: RecordingEvents, first: FirstPass) -> FirstPass:
@@ -253,23 +215,6 @@ def _low_passed(
     for part, new in zip(poses, filtered, strict=True):
         part[rows] = new
     return poses
-
-
-def _longest_wait(has_video: bool) -> dict[str, float]:
-    """Within which a smoothed causal pose is given out."""
-    return ({"video frames": DELAY_FRAMES} if has_video else {}) | {"seconds": DELAY_S}
-
-
-def _calibrated_on(smooth: bool, videos: Sequence[FrameSource], causal: bool) -> str | None:
-    """On whose recordings the factors of the deviations were chosen; None where there are none."""
-    if not smooth:
-        return None
-    return CALIBRATED_ON["markers" if not videos else "causal" if causal else "video"]
-
-
-def make_tracker(recording: Recording, settings: Settings | None = None) -> HybridTracker:
-    """The tracker for a recording's person, markers and cameras."""
-    return HybridTracker.from_recording(recording, settings)
 
 
 def lines_at_events(

@@ -8,7 +8,8 @@ import pydoc
 import sys
 from importlib.resources import files
 
-from jaxmocap.cli.command import Command
+PURPOSE = "print a page of the documentation"
+EXAMPLE = "jaxmocap help recording_file"
 
 # Every page, in the order of the list; what a reader begins with comes first.
 TOPICS = (
@@ -62,26 +63,16 @@ def contents() -> str:
     return "\n".join(["jaxmocap help TOPIC prints one of these pages:", "", *lines])
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "topic", nargs="?", choices=TOPICS, metavar="TOPIC", help="a page; all are listed without"
     )
 
 
-def _run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     if options.topic is None:
         print(contents())
     elif sys.stdout.isatty():
         pydoc.pager(_printed(options.topic))
     else:
         print(_printed(options.topic), end="")
-
-
-COMMAND = Command(
-    name="help",
-    purpose="print a page of the documentation",
-    run=_run,
-    add_options=_add_options,
-    example="jaxmocap help recording_file",
-    reports_figures=False,
-)
