@@ -105,6 +105,14 @@ def bent(skeleton, rng) -> Pose:
     return Pose(*on_device((rng.normal(0, 0.2, 3), turn / np.linalg.norm(turn), angles)))
 
 
+def placed(skeleton, seed: int):
+    """Generator, pose, points and where they are (N, 3)."""
+    rng = np.random.default_rng(seed)
+    pose = bent(skeleton, rng)
+    points = some_points(skeleton, rng)
+    return rng, pose, points, POSED(FORWARD(skeleton, pose), points)
+
+
 @settings(max_examples=8)
 @given(pose=poses())
 def test_the_product_of_exponentials_of_screws_at_rest_is_forward_kinematics(skeleton64, pose):
@@ -149,29 +157,24 @@ def test_columns_of_the_jacobian_are_the_joints_screws_applied_to_the_point(skel
 
 def test_the_system_is_the_naive_one_without_its_empty_third(skeleton64):
     """Two rows to a pair, where the paper has three of rank two: the same squares and Hessian."""
-    rng = np.random.default_rng(3)
     with double():
-        pose = bent(skeleton64, rng)
-        points = some_points(skeleton64, rng)
-        frames = FORWARD(skeleton64, pose)
-        pairs = on_rays(points, rays_to(ring(2), POSED(frames, points) + 0.03))
-        residuals, rows = (np.asarray(part) for part in LINEARISED(skeleton64, frames, pairs))
-        x = np.asarray(POSED(frames, points))
+        _, pose, points, x = placed(skeleton64, 3)
+        pairs = on_rays(points, rays_to(ring(2), x + 0.03))
+        linearised = LINEARISED(skeleton64, FORWARD(skeleton64, pose), pairs)
+        residuals, rows = (np.asarray(part) for part in linearised)
     own = naive_kinematics.forward(skeleton64, pose)
     np.testing.assert_allclose(naive.posed(own, points), x, atol=1e-12)
     b, A = naive.linearised(skeleton64, own, pairs)
     np.testing.assert_allclose((residuals**2).sum(-1), (b**2).sum(-1), atol=1e-12)
-    H, slope = (np.einsum("nki,nk...->i...", A, x) for x in (A, b))
+    H, slope = (np.einsum("nki,nk...->i...", A, each) for each in (A, b))
     np.testing.assert_allclose(np.einsum("nki,nkj->ij", rows, rows), H, atol=1e-9)
     np.testing.assert_allclose(np.einsum("nki,nk->i", rows, residuals), slope, atol=1e-9)
 
 
 def test_rows_are_derivatives_of_the_residuals(skeleton64):
-    rng = np.random.default_rng(4)
     with double():
-        pose = bent(skeleton64, rng)
-        points = some_points(skeleton64, rng)
-        lines = rays_to(ring(2), POSED(FORWARD(skeleton64, pose), points) + 0.03)
+        rng, pose, points, x = placed(skeleton64, 4)
+        lines = rays_to(ring(2), x + 0.03)
         pairs = on_rays(points, lines)._replace(along_weights=on_device(rng.uniform(0, 1, PAIRS)))
         way, h = on_device(rng.normal(size=6 + len(pose.angles))), 1e-6
         ends = [FORWARD(skeleton64, retract(pose, s * h * way)) for s in (1, -1)]
@@ -220,21 +223,16 @@ def test_a_rigid_body_gets_the_pose_that_opencv_finds(skeleton64, noise):
 @pytest.mark.parametrize("cameras", [1, 2, 4])
 def test_points_of_the_whole_body_give_its_pose_back(skeleton, cameras):
     """Noise-free, from 0.15 rad and 15 cm off; float32. One camera does for points."""
-    rng = np.random.default_rng(6 + cameras)
-    truth = bent(skeleton, rng)
-    points = some_points(skeleton, rng)
-    pairs = on_rays(points, rays_to(ring(cameras), POSED(FORWARD(skeleton, truth), points)))
+    rng, truth, points, x = placed(skeleton, 6 + cameras)
+    pairs = on_rays(points, rays_to(ring(cameras), x))
     actual = solved(skeleton, moved(truth, rng, 0.15), pairs, PATIENT)
     assert np.abs(difference(actual.pose, truth)).max() < 2e-3
     assert actual.distances.max() < 1e-4
 
 
 def test_the_reference_finds_the_same_pose(skeleton64):
-    rng = np.random.default_rng(7)
     with double():
-        truth = bent(skeleton64, rng)
-        points = some_points(skeleton64, rng)
-        x = POSED(FORWARD(skeleton64, truth), points)
+        rng, truth, points, x = placed(skeleton64, 7)
         pairs = on_rays(points, rays_to(ring(2), x, 1.0, rng))
         start = moved(truth, rng, 0.02)
         actual = solved(skeleton64, start, pairs, ALIKE).pose
@@ -279,10 +277,8 @@ def test_contours_outliers_a_prior_and_limits_lead_to_the_references_pose(skelet
 
 
 def test_a_fifth_of_wrong_pairs_is_told_by_its_distance_in_space(skeleton):
-    rng = np.random.default_rng(8)
-    truth = bent(skeleton, rng)
-    points = some_points(skeleton, rng)
-    x = np.array(POSED(FORWARD(skeleton, truth), points))
+    rng, truth, points, x = placed(skeleton, 8)
+    x = np.array(x)
     wrong = rng.permutation(PAIRS) < PAIRS // 5
     x[wrong] += rng.normal(0, 0.3, (wrong.sum(), 3))
     pairs = on_rays(points, rays_to(ring(4), on_device(x), 0.5, rng))
@@ -300,10 +296,8 @@ def test_a_fifth_of_wrong_pairs_is_told_by_its_distance_in_space(skeleton):
 
 
 def test_padding_counts_for_nothing_whatever_it_holds(skeleton):
-    rng = np.random.default_rng(9)
-    truth = bent(skeleton, rng)
-    points = some_points(skeleton, rng)
-    lines = rays_to(ring(2), POSED(FORWARD(skeleton, truth), points))
+    rng, truth, points, x = placed(skeleton, 9)
+    lines = rays_to(ring(2), x)
     empty = np.arange(PAIRS) >= 200
     lines = Lines(*(jnp.where(empty[:, None], jnp.nan, part) for part in lines))
     points = points._replace(points_bone=jnp.where(empty[:, None, None], 1e30, points.points_bone))
@@ -333,12 +327,10 @@ def test_a_joint_at_its_limit_leaves_the_system_and_the_rest_is_solved(skeleton)
 
 
 def test_a_prior_holds_what_no_ray_tells_and_gives_way_to_what_rays_tell(skeleton):
-    rng = np.random.default_rng(11)
-    truth = bent(skeleton, rng)
+    rng, truth, points, x = placed(skeleton, 11)
     arm = [skeleton.tree.bone(name) for name in ("humerus_l", "radius_l", "hand_l")]
-    points = some_points(skeleton, rng)
     on_arm = np.isin(np.asarray(points.bones), arm).any(-1)
-    lines = rays_to(ring(4), POSED(FORWARD(skeleton, truth), points))
+    lines = rays_to(ring(4), x)
     pairs = on_rays(points, lines, jnp.where(on_arm, 0.0, 1.0))
     expected = moved(truth, rng, 0.1)
     prior = Prior(expected, jnp.full(skeleton.costs.shape, 0.5))
