@@ -25,11 +25,19 @@ LARGEST_PORT = 65_535
 
 
 class Command(Protocol):
-    """A command's module, which has its name: one line of the help, a command line of it."""
+    """A command's module, which has its name."""
 
     __name__: str
-    PURPOSE: str
-    EXAMPLE: str
+
+    @property
+    def PURPOSE(self) -> str:  # noqa: N802
+        """One line of the help."""
+        ...
+
+    @property
+    def EXAMPLE(self) -> str:  # noqa: N802
+        """A command line of it."""
+        ...
 
     def add_options(self, parser: argparse.ArgumentParser, /) -> None:
         """Add its options to a parser."""
