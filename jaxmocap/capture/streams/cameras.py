@@ -228,11 +228,7 @@ def _widen(pipe: IO[bytes]) -> None:
 
 
 def device_frames(device: int, size: list[int], colour: bool) -> Images:
-    """Frames of a camera at this machine, asked for in the size of its calibration.
-
-    Raises:
-        InputError: no such camera.
-    """
+    """Frames of a device, asked for in its calibration's size; InputError without such a camera."""
     import cv2
 
     capture = cv2.VideoCapture(device)

@@ -146,10 +146,7 @@ def _messages(content: bytes, deepest: int, budget: list[int] | None = None) -> 
 
 
 def _arguments(message: bytes, texts: int, numbers: int) -> tuple[list[str], list[float]]:
-    """The first arguments of a message: so many texts, then so many numbers.
-
-    What follows them is not looked at: later versions, and other senders, add more.
-    """
+    """The first arguments of a message: so many texts, then so many numbers; more may follow."""
     tags, at = _tags(message)
     if len(tags) < texts + numbers:
         raise BadPacketError("malformed")

@@ -50,12 +50,7 @@ class _Joint:
 
 
 def read_bvh(path: str | Path, unit: str | None = None) -> Armature:
-    """Read a BVH file; ends of limbs are called by their joint's name and ``_end``.
-
-    Raises:
-        InputError: no such file, the line that is not BVH or is cut off, a joint that slides, or a
-            size from which the unit cannot be inferred.
-    """
+    """Read a BVH file; ends of limbs are called ``JOINT_end``. InputError names the bad line."""
     lines = numbered_lines(path)
     joints = _hierarchy(path, lines)
     offsets = np.array([joint.offset for joint in joints])

@@ -73,11 +73,7 @@ def write_animation(
 
 
 def _evenly_sampled(path: str | Path, armature: Armature) -> Armature:
-    """An armature at one rate; poses within its gaps are missing.
-
-    Raises:
-        BeyondFormatError: it would be many times as long.
-    """
+    """An armature at one rate, its gaps missing; BeyondFormatError where it would be far longer."""
     times = armature.times
     if is_even(times):
         return armature

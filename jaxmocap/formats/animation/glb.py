@@ -139,11 +139,7 @@ def write_document(
 
 
 def read_document(path: str | Path) -> tuple[JsonPart, bytes]:
-    """The document of a .glb file and its block of numbers.
-
-    Raises:
-        InputError: no such file, not glTF 2.0 in binary form, cut off, or not JSON.
-    """
+    """The document of a .glb file and its numbers; InputError where it is not binary glTF 2.0."""
     content = read_bytes(path)
     if content[:4] != _MAGIC or len(content) < 20:
         raise InputError(path, "not a binary glTF file, which begins with 'glTF'")
@@ -176,11 +172,7 @@ class Accessors:
         self._document, self._content, self._numbers_left = document, content, MAX_NUMBERS
 
     def read(self, accessor: int, shape: tuple[int, ...]) -> np.ndarray:
-        """(N, *shape) float64 numbers of an accessor.
-
-        Raises:
-            InputError: another shape; sparse, in another file, or outside the block; not finite.
-        """
+        """(N, *shape) float64 numbers of an accessor; InputError without such finite ones."""
         stated = self._document["accessors"][accessor]
         if stated.has("sparse"):
             raise stated.error("found sparse numbers, which are not read")

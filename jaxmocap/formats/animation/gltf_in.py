@@ -181,10 +181,7 @@ def _joint_motion(
     curves: _Curves,
     times: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Offsets (J, 3), the root's positions (T, 3) and rotations (T, J, 3, 3), from the rest pose.
-
-    Nodes are rotated in the rest pose too; the rotations are counted from there.
-    """
+    """Offsets (J, 3), root's positions (T, 3), rotations (T, J, 3, 3) from the rest pose."""
     offsets, positions = np.zeros((len(joints), 3)), np.zeros((len(times), 3))
     R = np.empty((len(times), len(joints), 3, 3))
     R_root_rest = np.empty((len(joints), 3, 3))

@@ -157,11 +157,7 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
 def _angles(
     skeleton: Skeleton, armature: Armature, index: Mapping[str, int], path: str | Path
 ) -> np.ndarray:
-    """Angles (T, D), radians, by which the bones have the orientations of the armature's joints.
-
-    Raises:
-        InputError: our hinges do not turn a bone as the armature does.
-    """
+    """Angles (T, D), radians, of bones as the joints have them; InputError where hinges cannot."""
     angles = np.zeros((len(armature.times), len(skeleton.tree.joints)))
     rest, rotations = rest_orientations(skeleton), armature.rotations[:]
     for bone, name in enumerate(skeleton.tree.bones):

@@ -20,11 +20,7 @@ _PLACE = {"rotation": "R Rot", "translation": "T"}
 
 
 def read(source: Source) -> SourceCalibration | None:
-    """The cameras that both files name.
-
-    Raises:
-        InputError: one of the files is missing, or a field is missing or does not fit.
-    """
+    """The cameras that both files name; InputError where a file or a field is missing or wrong."""
     folder = source.path if is_folder(source.path) else source.path.parent
     if folder == source.path:
         if not (folder / INTRINSICS).is_file():

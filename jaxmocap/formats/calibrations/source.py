@@ -63,11 +63,7 @@ class SourceCalibration:
 
 
 def open_source(path: Path) -> Source:
-    """Read a file by what it begins with, or take a folder as it is.
-
-    Raises:
-        InputError: no such file, too large, or not what it begins as.
-    """
+    """Read a file by what it begins with, or take a folder as it is; InputError for neither."""
     if is_folder(path):
         return Source(path)
     content = read_bytes(path, MAX_SOURCE_BYTES)

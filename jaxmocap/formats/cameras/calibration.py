@@ -81,11 +81,7 @@ def read_calibration(path: str | Path) -> dict[str, Camera]:
 
 
 def read_sections(path: str | Path) -> dict[str, Any]:
-    """The sections of a calibration file, as they stand there: see ``camera_of``.
-
-    Raises:
-        InputError: no such file, or no camera in it.
-    """
+    """A calibration file's sections as they stand; InputError without any. See ``camera_of``."""
     path = Path(path)
     sections = _sections(path)
     if not sections:

@@ -31,11 +31,7 @@ _KINDS = (
 
 
 def regular_file(path: str | Path) -> Path:
-    """The path, of a regular file that is there; nothing is opened.
-
-    Raises:
-        InputError: no such file, a name that no file can have, or something else than a file.
-    """
+    """The path of a regular file that is there; InputError for none. Nothing is opened."""
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:

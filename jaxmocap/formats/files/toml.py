@@ -94,12 +94,7 @@ _RESERVED_NAMES = {"con", "prn", "aux", "nul"} | {
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises:
-        InputError: no such file, larger than any of ours, not TOML (with line and column), or
-            nested too deeply.
-    """
+    """Read a TOML file; InputError, with line and column, for no TOML, or too much of it."""
     return parse_toml(path, read_toml_text(path))
 
 

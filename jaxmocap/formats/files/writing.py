@@ -118,30 +118,18 @@ def check_folder_writable(folder: Path) -> None:
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
-    """Write a complete file.
-
-    Raises:
-        OutputError: see ``replacing``.
-    """
+    """Write a complete file; OutputError as ``replacing`` has it."""
     with replacing(path) as temporary:
         temporary.write_bytes(content)
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a whole text file: UTF-8, lines end with a line feed on every system.
-
-    Raises:
-        OutputError: see ``replacing``.
-    """
+    """Write a whole text file by ``write_bytes``: UTF-8, lines end with a line feed everywhere."""
     write_bytes(path, text.encode())
 
 
 def write_lines(path: str | Path, *parts: Iterable[str]) -> None:
-    """Write a text file of any length line by line, one part after the other.
-
-    Raises:
-        OutputError: see ``replacing``.
-    """
+    """Write a text file of any length line by line, part after part; see ``replacing``."""
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{line}\n" for lines in parts for line in lines)
 

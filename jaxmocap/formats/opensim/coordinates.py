@@ -152,10 +152,7 @@ def _mirrored(R: np.ndarray, side: str) -> np.ndarray:
 def _limb_turns(
     skeleton: Skeleton, R_thorax: np.ndarray, R_pelvis_bone: np.ndarray, part: str, side: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The model's near body (T, 3, 3) in pelvis or thorax, and the angle (T,) of knee or elbow.
-
-    The far segment is bent about our hinge, which lies across both, however straight they are.
-    """
+    """The model's near body (T, 3, 3) in pelvis or thorax, and the knee's or elbow's angle (T,)."""
     is_leg = part == "leg"
     limb: Limb = rajagopal.leg() if is_leg else rajagopal.arm()
     bones = [_bone(skeleton, b, side) for b in (("femur", "tibia") if is_leg else

@@ -21,11 +21,7 @@ from jaxmocap.formats.recordings.keypoint_files import json_files
 
 
 def input_files(path: str | Path) -> list[Path]:
-    """A recording's file and all regular files that it names, or that are not there, by path.
-
-    Raises:
-        InputError: the recording's file itself is missing or not TOML.
-    """
+    """A recording's file, and all regular or missing ones that it names; InputError for no TOML."""
     path = Path(path)
     content = read_toml(path)
     folder, subject = path.parent, _table(content.get("subject"))

@@ -95,11 +95,7 @@ def read_subject(path: Path, where: str, table: Any, wrists: bool = False) -> Sk
 
 
 def person_table(path: Path) -> TomlTable:
-    """A recording file's [subject], or what the file has that it names; empty where there is none.
-
-    Raises:
-        InputError: it names a file that cannot be read.
-    """
+    """A recording file's [subject], or the file's that it names; empty where there is none."""
     fields = TomlTable(path, "[subject]", read_toml(path).get("subject", {}))
     if "file" not in fields:
         return fields

@@ -120,10 +120,7 @@ def lerp(values: np.ndarray, at: Interpolation) -> np.ndarray:
 
 
 def slerp(R: Rows, at: Interpolation) -> np.ndarray:
-    """(N, ..., 3, 3) spherical linear interpolation of (T, ..., 3, 3) rotations.
-
-    NaN where one of the two is, and within gaps.
-    """
+    """(N, ..., 3, 3) between rotations (T, ..., 3, 3); NaN where one is, and within gaps."""
     R_then = np.empty((len(at.fraction), *R.shape[1:]))
     for block, at_block in at.blocks(int(np.prod(R.shape[1:]))):
         ends = R[at_block.before], R[at_block.after]
