@@ -130,15 +130,7 @@ def _is_missing(positions: np.ndarray) -> np.ndarray:
 
 
 def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Hampel's identifier on each coordinate; a marker is an outlier if one of them is.
-
-    Args:
-        times: (T,) seconds.
-        positions: (T, M, 3) metres, or (T, M, N) of anything; NaN where missing.
-
-    Returns:
-        (T, M) booleans.
-    """
+    """(T, M) outliers of (T, M, N) by Hampel's identifier: markers with one such coordinate."""
     interval = median_interval(times)
     half = round(HAMPEL_HALF_WINDOW_S / interval) if interval else 0
     half = min(max(half, HAMPEL_MIN_HALF_WINDOW), HAMPEL_MAX_HALF_WINDOW)

@@ -111,15 +111,7 @@ def _silenced_decoders() -> Iterator[None]:
 
 
 def read_empty_room(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """What a camera sees where nobody stands: (H, W, 3) BGR uint8.
-
-    Args:
-        path: of an image file.
-        size: width and height of the camera's video, pixels.
-
-    Raises:
-        InputError: no image, or one of another size: it must be the video's own picture.
-    """
+    """A picture (H, W, 3), BGR uint8, of an empty room; InputError unless of the video's size."""
     picture = read_picture(path)
     height, width = picture.shape[:2]
     if (width, height) != tuple(size):

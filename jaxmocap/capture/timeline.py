@@ -122,13 +122,7 @@ def _merge(marker_times: np.ndarray, bundle_times: np.ndarray, bundles: np.ndarr
 
 
 def check_overlap(marker_times: np.ndarray, video_times: np.ndarray, path) -> None:
-    """InputError unless markers and a video share some time.
-
-    Args:
-        marker_times: (T,) seconds.
-        video_times: (F,) seconds of marker time.
-        path: the video, for the message.
-    """
+    """InputError about ``path`` unless markers and a video, both in marker time, share some."""
     latest_start = max(marker_times[0], video_times[0])
     if latest_start > min(marker_times[-1], video_times[-1]):
         raise InputError(

@@ -86,18 +86,7 @@ class LiveCamera(Listener):
         colour: bool,
         now: Callable[[], float] = monotonic,
     ):
-        """Prepare.
-
-        Args:
-            video: the camera.
-            index: among the cameras.
-            on_frame: called with every frame.
-            colour: BGR images in place of grey ones.
-            now: seconds.
-
-        Raises:
-            InputError: a file that is no video, a device that is not there.
-        """
+        """Prepare one of the cameras; InputError for no video, or no such device."""
         super().__init__(f"camera {index}", TIMEOUT_S + 1.0)
         self.name, self.status = video.camera_name, "waiting"
         self.last_arrival, self.problem = None, None

@@ -80,15 +80,7 @@ class Packet(NamedTuple):
 
 
 def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
-    """Read one datagram.
-
-    Args:
-        datagram: as it came.
-        raw: take VMC's devices as tracked (``Pos/Local``) in place of scaled to an avatar.
-
-    Raises:
-        BadPacketError: "malformed"; the datagram as a whole.
-    """
+    """Read one datagram; BadPacketError for no OSC. ``raw`` takes VMC's devices as tracked."""
     markers: list[MarkerMessage] = []
     stamp, ignored, budget = None, set[str](), MAX_MARKER_MESSAGES
     has_scaled = False

@@ -118,12 +118,7 @@ class MarkerSocket(MarkerSource):
         return waiting, True
 
     def take(self, datagrams: Sequence[Datagram], more_wait: bool = False) -> None:
-        """Read datagrams: of each sender, and of all together, the newest where there are too many.
-
-        Args:
-            datagrams: in the order in which they came in.
-            more_wait: whether later ones are there already.
-        """
+        """Read datagrams as they came in: of each sender, and of all together, the newest."""
         now = self._now()
         self.packets += len(datagrams)
         waiting: dict[PacketSender, list[Datagram]] = {}

@@ -106,13 +106,7 @@ def write_document(
     binary: BinaryChunk,
     later: Iterable[tuple[int, bytes]] = (),
 ) -> None:
-    """Write a document with the arrays that it refers to.
-
-    Args:
-        path: of the file.
-        document: without its arrays.
-        binary: the arrays.
-        later: what there was room reserved for: where it begins, and its bytes.
+    """Write a document with its arrays; ``later`` comes what room was reserved for, by place.
 
     Raises:
         BeyondFormatError: it would be larger than the format's 4 GiB.

@@ -41,12 +41,7 @@ MAX_ROTATION_ERROR_RAD = 1e-3
 
 
 def armature_of(motion: Motion, convention: str = "jaxmocap") -> Armature:
-    """A motion as an armature, in the world's axes, named by a convention.
-
-    Args:
-        motion: of our skeleton.
-        convention: one of ``CONVENTIONS``.
-    """
+    """A motion of our skeleton in the world's axes, its joints named by one of ``CONVENTIONS``."""
     skeleton, names = motion.skeleton, CONVENTIONS[convention]
     tree = skeleton.tree
     joints, parents = joint_tree(skeleton)

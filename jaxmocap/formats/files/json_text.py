@@ -24,17 +24,10 @@ def parse_json(
     allow_nan: bool = False,
     max_parts: int = MAX_PARTS,
 ) -> Any:
-    """What a JSON text stands for.
-
-    Args:
-        path: of the file, for messages.
-        text: the text.
-        max_bytes: how long it may be.
-        allow_nan: whether NaN and Infinity, which are no JSON, may stand in it.
-        max_parts: how many lists and tables there may be.
+    """What a JSON text stands for; ``allow_nan`` lets NaN and Infinity stand in it.
 
     Raises:
-        InputError: it is no JSON, too long, nested too deeply, or of too many parts.
+        InputError: it is no JSON, too long, nested too deeply, or of too many lists and tables.
     """
     if len(text) > max_bytes:
         raise InputError(path, f"found {len(text)} bytes of JSON, expected at most {max_bytes}")

@@ -288,12 +288,7 @@ def toml_key(key: str) -> str:
 
 
 def write_toml(path: str | Path, tables: list[tuple[str, dict[str, Any]]]) -> None:
-    """Write tables in order.
-
-    Args:
-        path: of the file.
-        tables: header line, such as ``[markers]`` or ``[[video]]``, and entries of each.
-    """
+    """Write tables in order: of each its header, such as ``[markers]``, and its entries."""
     blocks = [
         "\n".join(
             [header, *(f"{toml_key(key)} = {toml_value(item)}" for key, item in table.items())]

@@ -72,13 +72,7 @@ def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> 
 def check_target(path: str | Path, inputs: Iterable[str | Path] = ()) -> Path:
     """The path of a file to write, looked at before the work begins; nothing is made.
 
-    Args:
-        path: of the file.
-        inputs: files that the work reads, which it must not replace.
-
-    Raises:
-        InputError: it is one of the inputs, a folder or a device, or its folder cannot be made or
-            written to.
+    InputError where the work reads it as one of its inputs, or it cannot be written to.
     """
     path = Path(path)
     check_file_name(path)

@@ -41,15 +41,7 @@ _SKELETON_FIELDS = {
 
 
 def subject_or_default(top: TomlTable, wrists: bool = False) -> tuple[Skeleton, tuple[str, ...]]:
-    """The skeleton of a file's [subject], or of the default height with a warning.
-
-    Args:
-        top: the file.
-        wrists: whether it has wrists where the file does not state it.
-
-    Raises:
-        InputError: see ``read_subject``.
-    """
+    """A file's [subject] (see ``read_subject``), or one of the default height with a warning."""
     if "subject" in top:
         return read_subject(top.path, "[subject]", top.entries["subject"], wrists), ()
     warning = f"{top.path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed"
@@ -168,14 +160,7 @@ def check_replaceable(path: Path) -> None:
 def write_subject(
     path: str | Path, skeleton: Skeleton, height: float, comments: Sequence[str] = ()
 ) -> None:
-    """Write a body's bones to a file that [subject] may name.
-
-    Args:
-        path: of the TOML file.
-        skeleton: of the person.
-        height: metres, from which follows what nobody states.
-        comments: lines of what the lengths rest on, to be read above them.
-    """
+    """Write a body's bones to a file for [subject]: what it leaves open follows from the height."""
     masses = np.asarray(skeleton.masses, float)
     usual = Skeleton.human(height)
     entries = {}
