@@ -15,7 +15,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.cli.program import main
 from jaxmocap.evaluation.errors import evaluate_directory
 from jaxmocap.evaluation.motions import evaluate
-from jaxmocap.formats.animation.bvh_in import read_bvh
+from jaxmocap.formats.animation.bvh import read_bvh
 from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import load_motion, save_motion

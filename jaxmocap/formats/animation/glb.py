@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.formats.animation.json_parts import JsonPart
 from jaxmocap.formats.armatures.armature import BeyondFormatError
 from jaxmocap.formats.files.errors import InputError, short_repr
-from jaxmocap.formats.files.json_text import parse_json
+from jaxmocap.formats.files.json_text import JsonPart, parse_json
 from jaxmocap.formats.files.reading import read_bytes
 from jaxmocap.formats.files.writing import replacing
 

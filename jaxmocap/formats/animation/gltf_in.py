@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from jaxmocap.formats.animation.glb import Accessors, read_document
-from jaxmocap.formats.animation.json_parts import JsonPart
 from jaxmocap.formats.armatures.armature import MAX_DEPTH, MAX_JOINTS, MAX_ROTATIONS, Armature
 from jaxmocap.formats.files.errors import InputError, comma_list, short_name
+from jaxmocap.formats.files.json_text import JsonPart
 from jaxmocap.formats.time_series.tables import FARTHEST_M, LATEST_S
 
 # Joints other than the root may not slide by more than this, metres.

@@ -8,6 +8,7 @@ square of a key's parts (16 kB take seconds), and calls itself for every level o
 """
 
 import json
+import os
 import re
 import sys
 import tomllib
@@ -243,21 +244,13 @@ class TomlTable:
         """A required path, relative to the TOML file, of a file (or folder) that is there."""
         path = self.path.parent / self.text(key)
         if folder:
-            if not is_folder(path):
+            if not os.path.isdir(path):
                 raise self.error(key, f"no such folder: {path}")
             return path
         try:
             return regular_file(path)
         except InputError as error:
             raise self.error(key, f"{error.problem}: {path}") from None
-
-
-def is_folder(path: Path) -> bool:
-    """Is there a folder of that name? Of a name that none can have there is not."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
 
 
 def toml_value(value: Any) -> str:

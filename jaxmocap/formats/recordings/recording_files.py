@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.toml import is_folder, read_toml
+from jaxmocap.formats.files.toml import read_toml
 from jaxmocap.formats.recordings.keypoint_files import json_files
 
 
@@ -52,7 +52,7 @@ def _files(folder: Path, text: Any) -> set[Path]:
     if not isinstance(text, str) or not text:
         return set()
     path = folder / text
-    if is_folder(path):
+    if os.path.isdir(path):
         try:
             return set(json_files(path))
         except InputError:

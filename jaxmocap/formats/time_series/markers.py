@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.formats.animation.bvh_in import read_bvh
+from jaxmocap.formats.animation.bvh import read_bvh
 from jaxmocap.formats.animation.gltf_in import read_gltf
 from jaxmocap.formats.armatures.armature import Armature, joint_positions
 from jaxmocap.formats.files.errors import InputError
