@@ -255,13 +255,10 @@ def read_live_videos(top: TomlTable) -> tuple[Path | None, tuple[LiveVideo, ...]
 
 def _camera_source(fields: TomlTable) -> int | Path | str:
     """A device's number, a file, or the address of a stream."""
-    stated = [key for key in ("device", "file", "url") if key in fields]
-    if len(stated) != 1:
-        found = " and ".join(stated) or "none"
-        raise fields.error("", f"found {found}, expected one of device, file, url")
-    if stated == ["device"]:
+    stated = fields.only_one("device", "file", "url")
+    if stated == "device":
         return fields.integer("device", 0, MAX_DEVICE)
-    if stated == ["file"]:
+    if stated == "file":
         return fields.file("file")
     url = fields.text("url")
     if not _URL.fullmatch(url):

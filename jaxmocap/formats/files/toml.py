@@ -167,6 +167,14 @@ class TomlTable:
             raise self.error("", f"{key!r} is missing")
         return self.entries[key]
 
+    def only_one(self, *keys: str) -> str:
+        """Which of these keys it has; InputError unless that is exactly one."""
+        stated = [key for key in keys if key in self.entries]
+        if len(stated) != 1:
+            found = " and ".join(stated) or "none"
+            raise self.error("", f"found {found}, expected one of {', '.join(keys)}")
+        return stated[0]
+
     def text(self, key: str) -> str:
         """A required text that is not empty."""
         value = self.required(key)

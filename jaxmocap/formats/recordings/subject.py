@@ -65,21 +65,15 @@ def read_subject(path: Path, where: str, table: Any, wrists: bool = False) -> Sk
     fields = TomlTable(path, where, table, keys)
     usual = fields.flag("wrists", wrists)
     rest = {key: value for key, value in fields.entries.items() if key != "wrists"}
-    if "file" in rest:
-        if also := [key for key in ("height", "static") if key in fields]:
-            stated = " and ".join(["file", *also])
-            raise fields.error("", f"found {stated}, expected one of file, height, static")
+    stated = fields.only_one("file", "height", "static")
+    if stated == "file":
         other = TomlTable(path, where, rest, ("file",)).file("file")
         content = read_toml(other)
         if "file" in content:
             raise fields.error("file", f"{other} names yet another file, expected height or static")
         skeleton = read_subject(other, "", content, usual)
         return with_wrists(skeleton) if fields.flag("wrists") else skeleton
-    chosen = [key for key in ("height", "static") if key in rest]
-    if len(chosen) != 1:
-        stated = " and ".join(chosen) or "none"
-        raise fields.error("", f"found {stated}, expected one of file, height, static")
-    if chosen == ["height"]:
+    if stated == "height":
         skeleton = _by_height(TomlTable(path, where, rest, _HEIGHT_KEYS))
     else:
         skeleton = _by_static_trial(TomlTable(path, where, rest, _STATIC_KEYS))
