@@ -16,7 +16,6 @@ from collections.abc import Iterator
 import av
 import numpy as np
 from av.codec.context import Flags
-from av.container import InputContainer
 from av.error import FFmpegError
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
@@ -112,33 +111,27 @@ def stream_images(url: str, luma: bool, max_pixels: int) -> Iterator[tuple[int, 
     options = LOW_LATENCY_OPTIONS | decoder_options(max_pixels)
     options |= {"format_whitelist": STREAM_FORMATS, "protocol_whitelist": STREAM_PROTOCOLS}
     with av.open(url, options=options, timeout=TIMEOUT_S) as container:
-        yield from _images(container, luma, max_pixels)
-
-
-def _images(
-    container: InputContainer, luma: bool, max_pixels: int
-) -> Iterator[tuple[int, np.ndarray]]:
-    if not container.streams.video:
-        raise ValueError("has no video stream")
-    stream = container.streams.video[0]
-    if problem := refused_codec(stream):
-        raise ValueError(problem)
-    width, height = stream.codec_context.width, stream.codec_context.height
-    if width * height > max_pixels:
-        problem = f"images of {width} × {height} pixels"
-        raise ValueError(f"{problem}, far more than it was calibrated for")
-    stream.codec_context.options = decoder_options(max_pixels)
-    stream.codec_context.flags |= Flags.low_delay
-    # Threads that share the frames would each hold one back.
-    stream.codec_context.thread_type, stream.codec_context.thread_count = "SLICE", THREADS
-    for packet in container.demux(stream):
-        try:
-            decoded = packet.decode()
-        except FFmpegError:
-            continue
-        for frame in decoded:
-            if not frame.is_corrupt and frame.width * frame.height <= max_pixels:
-                yield piped_image(frame, luma)
+        if not container.streams.video:
+            raise ValueError("has no video stream")
+        stream = container.streams.video[0]
+        if problem := refused_codec(stream):
+            raise ValueError(problem)
+        context = stream.codec_context
+        if context.width * context.height > max_pixels:
+            problem = f"images of {context.width} × {context.height} pixels"
+            raise ValueError(f"{problem}, far more than it was calibrated for")
+        context.options = decoder_options(max_pixels)
+        context.flags |= Flags.low_delay
+        # Threads that share the frames would each hold one back.
+        context.thread_type, context.thread_count = "SLICE", THREADS
+        for packet in container.demux(stream):
+            try:
+                decoded = packet.decode()
+            except FFmpegError:
+                continue
+            for frame in decoded:
+                if not frame.is_corrupt and frame.width * frame.height <= max_pixels:
+                    yield piped_image(frame, luma)
 
 
 def write_images(images: Iterator[tuple[int, np.ndarray]]) -> None:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.capture.markers import GAP_INTERVALS, median_interval
-from jaxmocap.capture.one_euro import OneEuro
-from jaxmocap.formats.recordings.filters import Filters
+from jaxmocap.capture.one_euro import filter_step, initial_state
+from jaxmocap.formats.recordings.filters import Filters, OneEuroSettings
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.tables import is_even
 
@@ -107,7 +107,7 @@ def filter_markers(recording: Recording, causal: bool = False) -> tuple[Recordin
             )
         positions = butterworth_low_pass(times, positions, filters.butterworth)
     if filters.one_euro is not None and "one_euro" in applied:
-        positions = filter_one_euro(times, positions, OneEuro(filters.one_euro))
+        positions = filter_one_euro(times, positions, filters.one_euro)
     if unused := ", ".join(active_filters(filters, not causal)):
         which = "look ahead, which --causal does not" if causal else "is for live and --causal"
         warnings.append(f"[markers.filters] {unused}: not used, {which}")
@@ -130,15 +130,7 @@ def _is_missing(positions: np.ndarray) -> np.ndarray:
 
 
 def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Hampel's identifier on each coordinate; a marker is an outlier if one of them is.
-
-    Args:
-        times: (T,) seconds.
-        positions: (T, M, 3) metres, or (T, M, N) of anything; NaN where missing.
-
-    Returns:
-        (T, M) booleans.
-    """
+    """(T, M) outliers of (T, M, N) by Hampel's identifier: markers with one such coordinate."""
     interval = median_interval(times)
     half = round(HAMPEL_HALF_WINDOW_S / interval) if interval else 0
     half = min(max(half, HAMPEL_MIN_HALF_WINDOW), HAMPEL_MAX_HALF_WINDOW)
@@ -254,10 +246,12 @@ def check_cutoff(recording: Recording, cutoff: float, name: str) -> None:
         )
 
 
-def filter_one_euro(times: np.ndarray, positions: np.ndarray, filter_: OneEuro) -> np.ndarray:
-    """(T, M, 3) positions as ``filter_`` gives them out one after the other."""
-    state, filtered_samples = filter_.init(positions.shape[1]), []
+def filter_one_euro(
+    times: np.ndarray, positions: np.ndarray, settings: OneEuroSettings
+) -> np.ndarray:
+    """(T, M, 3) positions as the filter gives them out one after the other."""
+    state, filtered_samples = initial_state(positions.shape[1]), []
     for time, sample in zip(times, positions, strict=True):
-        state, filtered = filter_.step(state, float(time), sample)
+        state, filtered = filter_step(settings, state, float(time), sample)
         filtered_samples.append(filtered)
     return np.stack(filtered_samples)

@@ -28,11 +28,7 @@ TRIES = 4
 
 
 def open_keypoints(source: VideoSource, video: FrameSource) -> Detections | None:
-    """The key points of a recording's video, or None where it has none.
-
-    Raises:
-        InputError: what cannot be read, or not be lined up with the video.
-    """
+    """A video's key points, or None; InputError where they are unreadable or of other frames."""
     if source.keypoints is None:
         return None
     if isinstance(source.keypoints, Detections):

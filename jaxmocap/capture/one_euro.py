@@ -8,7 +8,6 @@ INPUTS: sample by sample a time in seconds and positions (M, 3) in metres, NaN w
 OUTPUTS: positions (M, 3), NaN where missing.
 """
 
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -36,53 +35,45 @@ class OneEuroState(NamedTuple):
     velocities: np.ndarray
 
 
-@dataclass(frozen=True)
-class OneEuro:
-    """The filter; it keeps nothing, its state goes in and comes out.
+def initial_state(count: int) -> OneEuroState:
+    """The state before the first sample of ``count`` markers."""
+    unknown = np.full((count, 3), np.nan)
+    return OneEuroState(np.full(count, np.nan), unknown, np.zeros((count, 3)))
 
-    Attributes:
-        settings: its two parameters.
+
+def filter_step(
+    settings: OneEuroSettings, state: OneEuroState, time: float, positions: np.ndarray
+) -> tuple[OneEuroState, np.ndarray]:
+    """Filter one sample.
+
+    Args:
+        settings: the filter's two parameters.
+        state: after the sample before.
+        time: seconds; a sample that is not later than the one before is given back unfiltered.
+        positions: (M, 3) metres; NaN where missing.
+
+    Returns:
+        The state after it, and the (M, 3) filtered positions.
     """
-
-    settings: OneEuroSettings = field(default_factory=OneEuroSettings)
-
-    def init(self, count: int) -> OneEuroState:
-        """The state before the first sample of ``count`` markers."""
-        unknown = np.full((count, 3), np.nan)
-        return OneEuroState(np.full(count, np.nan), unknown, np.zeros((count, 3)))
-
-    def step(
-        self, state: OneEuroState, time: float, positions: np.ndarray
-    ) -> tuple[OneEuroState, np.ndarray]:
-        """Filter one sample.
-
-        Args:
-            state: after the sample before.
-            time: seconds; a sample that is not later than the one before is given back unfiltered.
-            positions: (M, 3) metres; NaN where missing.
-
-        Returns:
-            The state after it, and the (M, 3) filtered positions.
-        """
-        positions = np.asarray(positions, float)
-        is_present = np.asarray(np.isfinite(positions).all(-1))
-        elapsed = time - state.times
-        is_continued = is_present & (elapsed > 0) & (elapsed <= FORGET_AFTER_S)
-        step = np.where(is_continued, elapsed, 1.0)[:, None]
-        last = np.where(is_continued[:, None], state.positions, positions)
-        raw_velocities = np.where(is_continued[:, None], (positions - last) / step, 0.0)
-        started = np.where(is_continued[:, None], state.velocities, 0.0)
-        velocities = started + _smoothing_factor(SPEED_CUTOFF_HZ, step) * (raw_velocities - started)
-        speed = np.linalg.norm(velocities, axis=-1, keepdims=True)
-        share = _smoothing_factor(self.settings.cutoff + self.settings.beta * speed, step)
-        filtered = last + share * (positions - last)
-        row = is_present[:, None]
-        new_state = OneEuroState(
-            np.where(is_present, time, state.times),
-            np.where(row, filtered, state.positions),
-            np.where(row, velocities, state.velocities),
-        )
-        return new_state, np.where(row, filtered, np.nan)
+    positions = np.asarray(positions, float)
+    is_present = np.asarray(np.isfinite(positions).all(-1))
+    elapsed = time - state.times
+    is_continued = is_present & (elapsed > 0) & (elapsed <= FORGET_AFTER_S)
+    step = np.where(is_continued, elapsed, 1.0)[:, None]
+    last = np.where(is_continued[:, None], state.positions, positions)
+    raw_velocities = np.where(is_continued[:, None], (positions - last) / step, 0.0)
+    started = np.where(is_continued[:, None], state.velocities, 0.0)
+    velocities = started + _smoothing_factor(SPEED_CUTOFF_HZ, step) * (raw_velocities - started)
+    speed = np.linalg.norm(velocities, axis=-1, keepdims=True)
+    share = _smoothing_factor(settings.cutoff + settings.beta * speed, step)
+    filtered = last + share * (positions - last)
+    row = is_present[:, None]
+    new_state = OneEuroState(
+        np.where(is_present, time, state.times),
+        np.where(row, filtered, state.positions),
+        np.where(row, velocities, state.velocities),
+    )
+    return new_state, np.where(row, filtered, np.nan)
 
 
 def _smoothing_factor(cutoff: np.ndarray | float, step: np.ndarray) -> np.ndarray:

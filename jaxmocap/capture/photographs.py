@@ -30,11 +30,7 @@ _STANDARD_ERROR = 2
 
 
 def read_photograph(path: str | Path, camera: Camera) -> np.ndarray:
-    """Read one.
-
-    Raises:
-        InputError: no such file, not an image, or of another size than the camera's.
-    """
+    """Read one; InputError for no image, or one of another size than the camera's."""
     image = read_picture(path)
     width, height = (int(n) for n in np.asarray(camera.size))
     if image.shape[:2] != (height, width):
@@ -45,11 +41,7 @@ def read_photograph(path: str | Path, camera: Camera) -> np.ndarray:
 
 
 def read_picture(path: str | Path) -> np.ndarray:
-    """The picture (H, W, 3), BGR uint8, of an image file.
-
-    Raises:
-        InputError: no such file, not an image, or a larger one than any camera takes.
-    """
+    """The picture (H, W, 3), BGR uint8, of an image file; InputError as in ``picture_of``."""
     return picture_of(path, read_bytes(path))
 
 
@@ -77,12 +69,7 @@ def _reader(start: bytes) -> Callable[[io.BytesIO, str], Image.Image] | None:
 
 
 def picture_of(path: str | Path, content: bytes) -> np.ndarray:
-    """The picture (H, W, 3), BGR uint8, in an image file's content.
-
-    Raises:
-        InputError: it is not an image, or a larger one than any camera takes; ``path`` is what
-            the message names.
-    """
+    """(H, W, 3) BGR uint8 of a file's content; InputError about ``path`` for none, or too large."""
     if not content:
         raise InputError(path, "is not an image that can be read, it is empty")
     size = picture_size(content)
@@ -124,15 +111,7 @@ def _silenced_decoders() -> Iterator[None]:
 
 
 def read_empty_room(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """What a camera sees where nobody stands: (H, W, 3) BGR uint8.
-
-    Args:
-        path: of an image file.
-        size: width and height of the camera's video, pixels.
-
-    Raises:
-        InputError: no image, or one of another size: it must be the video's own picture.
-    """
+    """A picture (H, W, 3), BGR uint8, of an empty room; InputError unless of the video's size."""
     picture = read_picture(path)
     height, width = picture.shape[:2]
     if (width, height) != tuple(size):
@@ -144,11 +123,7 @@ def read_empty_room(path: Path, size: tuple[int, int]) -> np.ndarray:
 
 
 def write_picture(path: str | Path, picture: np.ndarray) -> Path:
-    """Write a picture (H, W, 3), BGR uint8, in the format that the path's suffix names.
-
-    Raises:
-        OutputError: it cannot be written completely; what was there before is as it was.
-    """
+    """Write (H, W, 3) BGR uint8 in the format of the path's suffix; see ``write_bytes``."""
     write_bytes(path, cv2.imencode(Path(path).suffix, picture)[1].tobytes())
     return Path(path)
 

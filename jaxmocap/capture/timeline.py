@@ -60,13 +60,16 @@ def _nearest_frames(marker_times: np.ndarray, frame_times: np.ndarray) -> np.nda
     """(T,) index of the frame nearest to each sample, -1 beyond one frame interval."""
     if not len(frame_times):
         return np.full(len(marker_times), -1)
-    after = np.searchsorted(frame_times, marker_times).clip(1, max(len(frame_times) - 1, 1))
-    pair = np.stack([after - 1, after.clip(max=len(frame_times) - 1)], 1)
-    distance = np.abs(frame_times[pair] - marker_times[:, None])
-    rows = np.arange(len(marker_times))
-    best = distance.argmin(1)
-    allowed = max(median_interval(frame_times), SIMULTANEOUS_S)
-    return np.where(distance[rows, best] <= allowed, pair[rows, best], -1)
+    nearest, gap = _nearest(frame_times, marker_times)
+    return np.where(gap <= max(median_interval(frame_times), SIMULTANEOUS_S), nearest, -1)
+
+
+def _nearest(times: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) index of the time (T,) nearest to each of (K,) others, and how far it is, seconds."""
+    after = np.searchsorted(times, at).clip(1, max(len(times) - 1, 1))
+    pair = np.stack([after - 1, after.clip(max=len(times) - 1)], 1)
+    distance = np.abs(times[pair] - at[:, None])
+    return pair[np.arange(len(at)), distance.argmin(1)], distance.min(1)
 
 
 def bundle_frames(video_times: Sequence[np.ndarray], when=np.median) -> tuple:
@@ -101,11 +104,7 @@ def _merge(marker_times: np.ndarray, bundle_times: np.ndarray, bundles: np.ndarr
     """One event per sample and per bundle, but one for both where they are simultaneous."""
     count = len(marker_times)
     sample_frames = np.full((count, bundles.shape[1]), -1)
-    after = np.searchsorted(marker_times, bundle_times).clip(1, max(count - 1, 1))
-    pair = np.stack([after - 1, after.clip(max=count - 1)], 1)
-    distance = np.abs(marker_times[pair] - bundle_times[:, None])
-    best = distance.argmin(1)
-    nearest, gap = pair[np.arange(len(best)), best], distance.min(1)
+    nearest, gap = _nearest(marker_times, bundle_times)
     # Of several bundles at one sample the nearest is merged, the others stay by themselves.
     order = np.lexsort((gap, nearest))
     first = np.r_[True, np.diff(nearest[order]) > 0] if len(order) else np.empty(0, bool)
@@ -122,13 +121,7 @@ def _merge(marker_times: np.ndarray, bundle_times: np.ndarray, bundles: np.ndarr
 
 
 def check_overlap(marker_times: np.ndarray, video_times: np.ndarray, path) -> None:
-    """InputError unless markers and a video share some time.
-
-    Args:
-        marker_times: (T,) seconds.
-        video_times: (F,) seconds of marker time.
-        path: the video, for the message.
-    """
+    """InputError about ``path`` unless markers and a video, both in marker time, share some."""
     latest_start = max(marker_times[0], video_times[0])
     if latest_start > min(marker_times[-1], video_times[-1]):
         raise InputError(

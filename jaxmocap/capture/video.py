@@ -261,21 +261,10 @@ def open_video(source: VideoSource) -> FrameSource:
 
 
 def check_video_size(video: FrameSource, camera: Camera, path: str | Path) -> str | None:
-    """Does a video fit its camera's calibration?
+    """A warning where a video's size is not its camera's; None where it is.
 
-    A video a few columns or rows off is taken as cropped on the right or at the bottom, and never
-    rescaled: its pixels keep their places.
-
-    Args:
-        video: the frames.
-        camera: the calibration.
-        path: of the video, for messages.
-
-    Returns:
-        A sentence of warning, or None where the sizes agree.
-
-    Raises:
-        InputError: more than 2 % off in width or height.
+    A few columns or rows off, it is taken as cropped on the right or at the bottom, and never
+    rescaled: its pixels keep their places. InputError beyond 2 % in width or height.
     """
     size, expected = np.array(video.size), np.asarray(camera.size, float)
     if (size == expected).all():

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.formats.animation.bvh import write_bvh
-from jaxmocap.formats.animation.bvh_in import read_bvh
+from jaxmocap.formats.animation.bvh import read_bvh, write_bvh
 from jaxmocap.formats.animation.export import DEFAULT_CONVENTION, R_FILE_WORLD
 from jaxmocap.formats.animation.gltf import write_gltf
 from jaxmocap.formats.animation.gltf_in import read_gltf

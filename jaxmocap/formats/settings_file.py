@@ -27,15 +27,7 @@ WIDTH = 96
 
 
 def read_settings(path: str | Path, settings: T) -> T:
-    """A settings record with the fields that a file names.
-
-    Args:
-        path: of a TOML file.
-        settings: a record of ``compilation.settings``, whose other fields stay.
-
-    Raises:
-        InputError: no such field, or a value of another kind or beyond its range.
-    """
+    """A settings record with the fields that a TOML file names; InputError where one is wrong."""
     return _changed(settings, Path(path), "", read_toml(path))
 
 

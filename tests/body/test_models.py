@@ -8,7 +8,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, load_skeleton, with_joints
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.formats.animation.bvh_in import read_bvh
+from jaxmocap.formats.animation.bvh import read_bvh
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.armatures.armature import joint_positions, rotated_armature
 from jaxmocap.formats.armatures.joint_names import CONVENTIONS, joint_of

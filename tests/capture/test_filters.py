@@ -1,6 +1,7 @@
 """Filters of markers: each next to an independent oracle; zero phase; NaN where it belongs."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from jaxmocap.capture.filters import (
     filter_one_euro,
     find_outliers,
 )
-from jaxmocap.capture.one_euro import FORGET_AFTER_S, SPEED_CUTOFF_HZ, OneEuro
+from jaxmocap.capture.one_euro import FORGET_AFTER_S, SPEED_CUTOFF_HZ, filter_step, initial_state
 from jaxmocap.formats.recordings.filters import Filters, OneEuroSettings
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.time_series.markers import read_markers
@@ -239,7 +240,7 @@ def test_along_one_axis_it_is_the_published_filter(seed, cutoff, beta):
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.uniform(0.005, 0.03, 50))
     path = np.cumsum(rng.normal(0, 0.02, 50))
-    ours = filter_one_euro(times, one(path), OneEuro(OneEuroSettings(cutoff, beta)))[:, 0, 0]
+    ours = filter_one_euro(times, one(path), OneEuroSettings(cutoff, beta))[:, 0, 0]
     theirs = Published(cutoff, beta, SPEED_CUTOFF_HZ)
     expected = [theirs(t, x) for t, x in zip(times, path, strict=True)]
     np.testing.assert_allclose(ours, expected, atol=1e-12)
@@ -250,20 +251,22 @@ def test_it_does_not_depend_on_the_axes(seed):
     rng = np.random.default_rng(seed)
     times, points = np.arange(40) / RATE, np.cumsum(rng.normal(0, 0.01, (40, 2, 3)), 0)
     R = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    rotated = filter_one_euro(times, points @ R.T, OneEuro())
-    np.testing.assert_allclose(rotated, filter_one_euro(times, points, OneEuro()) @ R.T, atol=1e-12)
+    rotated = filter_one_euro(times, points @ R.T, OneEuroSettings())
+    np.testing.assert_allclose(
+        rotated, filter_one_euro(times, points, OneEuroSettings()) @ R.T, atol=1e-12
+    )
 
 
 def test_a_marker_that_was_lost_for_long_begins_anew_and_for_short_goes_on():
-    filter_, still = OneEuro(), np.zeros((1, 3))
-    state, _ = filter_.step(filter_.init(1), 0.0, still)
-    state, lost = filter_.step(state, 0.01, np.full((1, 3), np.nan))
+    step, still = partial(filter_step, OneEuroSettings()), np.zeros((1, 3))
+    state, _ = step(initial_state(1), 0.0, still)
+    state, lost = step(state, 0.01, np.full((1, 3), np.nan))
     assert np.isnan(lost).all()
-    _, soon = filter_.step(state, 0.02, still + 0.01)
+    _, soon = step(state, 0.02, still + 0.01)
     assert (np.abs(soon) < 0.01).all()
-    _, later = filter_.step(state, 2 * FORGET_AFTER_S, still + 0.01)
+    _, later = step(state, 2 * FORGET_AFTER_S, still + 0.01)
     np.testing.assert_array_equal(later, still + 0.01)
-    _, again = filter_.step(state, 0.0, still + 0.01)
+    _, again = step(state, 0.0, still + 0.01)
     np.testing.assert_array_equal(again, still + 0.01)
 
 
@@ -271,8 +274,8 @@ def test_it_calms_a_hand_at_rest_and_hardly_delays_a_stroke():
     rng = np.random.default_rng(0)
     rest = rng.normal(0, 0.001, (540, 1, 3))
     times, points = played(2)
-    assert filter_one_euro(times, rest, OneEuro())[90:].std() < 0.5 * rest.std()
-    behind = np.linalg.norm(filter_one_euro(times, points, OneEuro()) - points, axis=-1)
+    assert filter_one_euro(times, rest, OneEuroSettings())[90:].std() < 0.5 * rest.std()
+    behind = np.linalg.norm(filter_one_euro(times, points, OneEuroSettings()) - points, axis=-1)
     assert np.percentile(behind, 99) < 0.005
 
 

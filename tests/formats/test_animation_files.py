@@ -10,8 +10,7 @@ from moving_body import HEIGHT, RATE, SAMPLES, moving_body, with_parts
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.formats.animation.bvh import write_bvh
-from jaxmocap.formats.animation.bvh_in import read_bvh
+from jaxmocap.formats.animation.bvh import read_bvh, write_bvh
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.animation.gltf_in import read_gltf
 from jaxmocap.formats.armatures.armature import joint_positions

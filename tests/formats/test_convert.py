@@ -14,7 +14,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.cli.program import main
 from jaxmocap.evaluation.errors import evaluate, evaluate_directory
-from jaxmocap.formats.animation.bvh_in import read_bvh
+from jaxmocap.formats.animation.bvh import read_bvh
 from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import load_motion, save_motion

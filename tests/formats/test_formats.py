@@ -19,7 +19,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.capture.photographs import read_picture
 from jaxmocap.capture.video import Video
-from jaxmocap.formats.animation.bvh_in import read_bvh
+from jaxmocap.formats.animation.bvh import read_bvh
 from jaxmocap.formats.animation.gltf_in import read_gltf
 from jaxmocap.formats.cameras.calibration import pick_camera, read_calibration, write_calibration
 from jaxmocap.formats.files.errors import InputError

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import problem_of
 
-from jaxmocap.formats.animation.bvh_in import read_bvh
+from jaxmocap.formats.animation.bvh import read_bvh
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import MAX_LINE_CHARACTERS, numbered_lines
 from jaxmocap.formats.time_series.markers import read_markers

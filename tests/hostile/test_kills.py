@@ -19,7 +19,7 @@ import pytest
 from small_recording import write_small_recording
 
 from jaxmocap.capture.video import Video
-from jaxmocap.formats.animation.bvh_in import read_bvh
+from jaxmocap.formats.animation.bvh import read_bvh
 from jaxmocap.formats.animation.gltf_in import read_gltf
 from jaxmocap.formats.files.output_folder import LIST_NAME, read_list
 from jaxmocap.formats.motion_npz import load_motion

@@ -58,12 +58,7 @@ class MarkerVisibility:
 
 
 def check_recording(recording: Recording, video_times: Sequence[np.ndarray]) -> list[Finding]:
-    """All that is wrong with a recording, what is fatal first.
-
-    Args:
-        recording: with its cameras.
-        video_times: (F,) seconds of marker time of each video's frames.
-    """
+    """All that is wrong, what is fatal first; ``video_times`` (F,) of each video, seconds."""
     findings = check_markers(recording)
     if not any(finding.fatal for finding in findings):
         views = [

@@ -89,12 +89,7 @@ def check_lengths(recording: Recording) -> Iterator[Finding]:
 
 
 def check_stretched_arms(recording: Recording, measured: Sequence[str]) -> Iterator[Finding]:
-    """Whether the recording determines arms that follow from the height, by video and by reach.
-
-    Args:
-        recording: with its markers.
-        measured: bones whose length [subject] measures or states.
-    """
+    """Whether the recording determines arms that no ``measured`` bone states, by its reach."""
     arms = recording.skeleton.tree.names_in(*ARM)
     if not recording.videos or recording.path is None or set(arms) & set(measured):
         return

@@ -86,18 +86,7 @@ class LiveCamera(Listener):
         colour: bool,
         now: Callable[[], float] = monotonic,
     ):
-        """Prepare.
-
-        Args:
-            video: the camera.
-            index: among the cameras.
-            on_frame: called with every frame.
-            colour: BGR images in place of grey ones.
-            now: seconds.
-
-        Raises:
-            InputError: a file that is no video, a device that is not there.
-        """
+        """Prepare one of the cameras; InputError for no video, or no such device."""
         super().__init__(f"camera {index}", TIMEOUT_S + 1.0)
         self.name, self.status = video.camera_name, "waiting"
         self.last_arrival, self.problem = None, None
@@ -228,11 +217,7 @@ def _widen(pipe: IO[bytes]) -> None:
 
 
 def device_frames(device: int, size: list[int], colour: bool) -> Images:
-    """Frames of a camera at this machine, asked for in the size of its calibration.
-
-    Raises:
-        InputError: no such camera.
-    """
+    """Frames of a device, asked for in its calibration's size; InputError without such a camera."""
     import cv2
 
     capture = cv2.VideoCapture(device)
@@ -270,13 +255,10 @@ def read_live_videos(top: TomlTable) -> tuple[Path | None, tuple[LiveVideo, ...]
 
 def _camera_source(fields: TomlTable) -> int | Path | str:
     """A device's number, a file, or the address of a stream."""
-    stated = [key for key in ("device", "file", "url") if key in fields]
-    if len(stated) != 1:
-        found = " and ".join(stated) or "none"
-        raise fields.error("", f"found {found}, expected one of device, file, url")
-    if stated == ["device"]:
+    stated = fields.only_one("device", "file", "url")
+    if stated == "device":
         return fields.integer("device", 0, MAX_DEVICE)
-    if stated == ["file"]:
+    if stated == "file":
         return fields.file("file")
     url = fields.text("url")
     if not _URL.fullmatch(url):

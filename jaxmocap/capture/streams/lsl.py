@@ -40,11 +40,7 @@ class MarkerStream(MarkerSource):
     def __init__(
         self, table: "LslTable", assembler: SampleAssembler, now: Callable[[], float] = monotonic
     ):
-        """Prepare; the assembler takes the markers, and the clock has seconds.
-
-        Raises:
-            InputError: pylsl is not installed.
-        """
+        """Prepare, the clock in seconds; InputError where pylsl is not installed."""
         try:
             import pylsl
         except (ImportError, RuntimeError):

@@ -80,15 +80,7 @@ class Packet(NamedTuple):
 
 
 def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
-    """Read one datagram.
-
-    Args:
-        datagram: as it came.
-        raw: take VMC's devices as tracked (``Pos/Local``) in place of scaled to an avatar.
-
-    Raises:
-        BadPacketError: "malformed"; the datagram as a whole.
-    """
+    """Read one datagram; BadPacketError for no OSC. ``raw`` takes VMC's devices as tracked."""
     markers: list[MarkerMessage] = []
     stamp, ignored, budget = None, set[str](), MAX_MARKER_MESSAGES
     has_scaled = False
@@ -146,10 +138,7 @@ def _messages(content: bytes, deepest: int, budget: list[int] | None = None) -> 
 
 
 def _arguments(message: bytes, texts: int, numbers: int) -> tuple[list[str], list[float]]:
-    """The first arguments of a message: so many texts, then so many numbers.
-
-    What follows them is not looked at: later versions, and other senders, add more.
-    """
+    """The first arguments of a message: so many texts, then so many numbers; more may follow."""
     tags, at = _tags(message)
     if len(tags) < texts + numbers:
         raise BadPacketError("malformed")

@@ -131,12 +131,7 @@ class PacketSenders:
 
 
 def fair_shares(counts: Mapping[Key, int], total: int) -> dict[Key, int]:
-    """How many of each may be read where all together may not: who asks for less is served first.
-
-    Args:
-        counts: who -> how many wait.
-        total: of all together.
-    """
+    """How many of those that wait may be read of so many: who asks for less is served first."""
     served: dict[Key, int] = {}
     for i, who in enumerate(sorted(counts, key=lambda key: counts[key])):
         served[who] = min(counts[who], math.ceil(total / (len(counts) - i)))

@@ -73,11 +73,7 @@ class MarkerSocket(MarkerSource):
     def __init__(
         self, table: "OscTable", assembler: SampleAssembler, now: Callable[[], float] = monotonic
     ):
-        """Open the socket; the assembler takes the markers, and the clock has seconds.
-
-        Raises:
-            InputError: the address cannot be had.
-        """
+        """Open the socket, the clock in seconds; InputError where the address cannot be had."""
         self._socket = _bound_socket(table.listen)
         address = Address(table.listen.host, self._socket.getsockname()[1])
         super().__init__(address, 1.0, PacketSenders(table.allowed))
@@ -122,12 +118,7 @@ class MarkerSocket(MarkerSource):
         return waiting, True
 
     def take(self, datagrams: Sequence[Datagram], more_wait: bool = False) -> None:
-        """Read datagrams: of each sender, and of all together, the newest where there are too many.
-
-        Args:
-            datagrams: in the order in which they came in.
-            more_wait: whether later ones are there already.
-        """
+        """Read datagrams as they came in: of each sender, and of all together, the newest."""
         now = self._now()
         self.packets += len(datagrams)
         waiting: dict[PacketSender, list[Datagram]] = {}

@@ -73,11 +73,7 @@ def write_animation(
 
 
 def _evenly_sampled(path: str | Path, armature: Armature) -> Armature:
-    """An armature at one rate; poses within its gaps are missing.
-
-    Raises:
-        BeyondFormatError: it would be many times as long.
-    """
+    """An armature at one rate, its gaps missing; BeyondFormatError where it would be far longer."""
     times = armature.times
     if is_even(times):
         return armature
@@ -94,14 +90,7 @@ def _evenly_sampled(path: str | Path, armature: Armature) -> Armature:
 def write_avatar(
     path: str | Path, skeleton: Skeleton, surface: Surface, texture: bytes | None = None
 ) -> None:
-    """Write a person as a .glb file that other programs may move: in a T pose, feet on the ground.
-
-    Args:
-        path: of the file.
-        skeleton: which the surface is around.
-        surface: of the person.
-        texture: the surface's colours, as for ``surface_skin``.
-    """
+    """Write a person as a .glb file to be moved: in a T pose, feet on the ground."""
     angles = [[np.radians(T_POSE.get(joint, 0.0)) for joint in skeleton.tree.joints]]
     lowest = float(rest_nodes(surface, rest_joints(skeleton))[:, 2].min())
     parts = [[0.0, 0.0, -lowest]], [[1.0, 0.0, 0.0, 0.0]], angles

@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.formats.animation.json_parts import JsonPart
 from jaxmocap.formats.armatures.armature import BeyondFormatError
 from jaxmocap.formats.files.errors import InputError, short_repr
-from jaxmocap.formats.files.json_text import parse_json
+from jaxmocap.formats.files.json_text import JsonPart, parse_json
 from jaxmocap.formats.files.reading import read_bytes
 from jaxmocap.formats.files.writing import replacing
 
@@ -106,13 +105,7 @@ def write_document(
     binary: BinaryChunk,
     later: Iterable[tuple[int, bytes]] = (),
 ) -> None:
-    """Write a document with the arrays that it refers to.
-
-    Args:
-        path: of the file.
-        document: without its arrays.
-        binary: the arrays.
-        later: what there was room reserved for: where it begins, and its bytes.
+    """Write a document with its arrays; ``later`` comes what room was reserved for, by place.
 
     Raises:
         BeyondFormatError: it would be larger than the format's 4 GiB.
@@ -139,11 +132,7 @@ def write_document(
 
 
 def read_document(path: str | Path) -> tuple[JsonPart, bytes]:
-    """The document of a .glb file and its block of numbers.
-
-    Raises:
-        InputError: no such file, not glTF 2.0 in binary form, cut off, or not JSON.
-    """
+    """The document of a .glb file and its numbers; InputError where it is not binary glTF 2.0."""
     content = read_bytes(path)
     if content[:4] != _MAGIC or len(content) < 20:
         raise InputError(path, "not a binary glTF file, which begins with 'glTF'")
@@ -176,11 +165,7 @@ class Accessors:
         self._document, self._content, self._numbers_left = document, content, MAX_NUMBERS
 
     def read(self, accessor: int, shape: tuple[int, ...]) -> np.ndarray:
-        """(N, *shape) float64 numbers of an accessor.
-
-        Raises:
-            InputError: another shape; sparse, in another file, or outside the block; not finite.
-        """
+        """(N, *shape) float64 numbers of an accessor; InputError without such finite ones."""
         stated = self._document["accessors"][accessor]
         if stated.has("sparse"):
             raise stated.error("found sparse numbers, which are not read")

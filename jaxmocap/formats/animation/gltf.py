@@ -139,12 +139,7 @@ def _animation(
 
 
 def _rotation_keys(armature: Armature, starts: dict[int, int]) -> Iterator[tuple[int, bytes]]:
-    """Keys of joints' rotations, some samples at a time, and where each of them begins.
-
-    Args:
-        armature: whose poses are all known.
-        starts: joint -> where its first key begins.
-    """
+    """Keys of rotations, some samples at a time, and where each begins; all poses are known."""
     joints = list(starts)
     before = np.zeros((1, len(joints), 4))
     for rows in armature.blocks() if joints else ():

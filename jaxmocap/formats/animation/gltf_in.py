@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from jaxmocap.formats.animation.glb import Accessors, read_document
-from jaxmocap.formats.animation.json_parts import JsonPart
 from jaxmocap.formats.armatures.armature import MAX_DEPTH, MAX_JOINTS, MAX_ROTATIONS, Armature
 from jaxmocap.formats.files.errors import InputError, comma_list, short_name
+from jaxmocap.formats.files.json_text import JsonPart
 from jaxmocap.formats.time_series.tables import FARTHEST_M, LATEST_S
 
 # Joints other than the root may not slide by more than this, metres.
@@ -181,10 +181,7 @@ def _joint_motion(
     curves: _Curves,
     times: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Offsets (J, 3), the root's positions (T, 3) and rotations (T, J, 3, 3), from the rest pose.
-
-    Nodes are rotated in the rest pose too; the rotations are counted from there.
-    """
+    """Offsets (J, 3), root's positions (T, 3), rotations (T, J, 3, 3) from the rest pose."""
     offsets, positions = np.zeros((len(joints), 3)), np.zeros((len(times), 3))
     R = np.empty((len(times), len(joints), 3, 3))
     R_root_rest = np.empty((len(joints), 3, 3))

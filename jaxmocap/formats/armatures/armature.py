@@ -100,11 +100,7 @@ def rotated_armature(armature: Armature, R_new_old: np.ndarray) -> Armature:
 
 
 def fill_from_nearest(armature: Armature, path: str | Path) -> Armature:
-    """Missing poses replaced by that of the nearest complete sample.
-
-    Raises:
-        InputError: all are missing; ``path`` is what the message names.
-    """
+    """Missing poses by the nearest complete sample's; InputError about ``path`` without any."""
     valid_samples = np.flatnonzero(armature.is_valid)
     if not len(valid_samples):
         raise InputError(path, "every sample's pose is missing")

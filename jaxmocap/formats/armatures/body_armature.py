@@ -41,12 +41,7 @@ MAX_ROTATION_ERROR_RAD = 1e-3
 
 
 def armature_of(motion: Motion, convention: str = "jaxmocap") -> Armature:
-    """A motion as an armature, in the world's axes, named by a convention.
-
-    Args:
-        motion: of our skeleton.
-        convention: one of ``CONVENTIONS``.
-    """
+    """A motion of our skeleton in the world's axes, its joints named by one of ``CONVENTIONS``."""
     skeleton, names = motion.skeleton, CONVENTIONS[convention]
     tree = skeleton.tree
     joints, parents = joint_tree(skeleton)
@@ -157,11 +152,7 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
 def _angles(
     skeleton: Skeleton, armature: Armature, index: Mapping[str, int], path: str | Path
 ) -> np.ndarray:
-    """Angles (T, D), radians, by which the bones have the orientations of the armature's joints.
-
-    Raises:
-        InputError: our hinges do not turn a bone as the armature does.
-    """
+    """Angles (T, D), radians, of bones as the joints have them; InputError where hinges cannot."""
     angles = np.zeros((len(armature.times), len(skeleton.tree.joints)))
     rest, rotations = rest_orientations(skeleton), armature.rotations[:]
     for bone, name in enumerate(skeleton.tree.bones):

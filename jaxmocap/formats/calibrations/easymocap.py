@@ -7,12 +7,14 @@ As EasyMocap reads it (``mytools/camera_utils.py``, ``read_camera``): R and T ar
 world to the camera. The world is the chessboard's: unit and axes are what a user gave it.
 """
 
+import os
+
 from jaxmocap.formats.calibrations.source import Source, SourceCalibration
 from jaxmocap.formats.cameras.calibration import read_place
 from jaxmocap.formats.cameras.opencv_yaml import camera_table, read_entries
 from jaxmocap.formats.files.errors import InputError, short_name
 from jaxmocap.formats.files.reading import regular_file
-from jaxmocap.formats.files.toml import TomlTable, is_folder
+from jaxmocap.formats.files.toml import TomlTable
 
 INTRINSICS, EXTRINSICS = "intri.yml", "extri.yml"
 _LENS = {"matrix": "K", "distortions": "dist D", "size": "W H"}
@@ -20,12 +22,8 @@ _PLACE = {"rotation": "R Rot", "translation": "T"}
 
 
 def read(source: Source) -> SourceCalibration | None:
-    """The cameras that both files name.
-
-    Raises:
-        InputError: one of the files is missing, or a field is missing or does not fit.
-    """
-    folder = source.path if is_folder(source.path) else source.path.parent
+    """The cameras that both files name; InputError where a file or a field is missing or wrong."""
+    folder = source.path if os.path.isdir(source.path) else source.path.parent
     if folder == source.path:
         if not (folder / INTRINSICS).is_file():
             return None

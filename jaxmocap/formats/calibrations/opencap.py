@@ -33,11 +33,7 @@ _MOST_COEFFICIENTS = 14
 
 
 def read(source: Source) -> SourceCalibration | None:
-    """The cameras of a file or of a folder.
-
-    Raises:
-        InputError: anything in a pickle but plain values, a field that is missing or does not fit.
-    """
+    """The cameras of a file or of a folder; InputError for other than plain, fitting values."""
     files = next(filter(None, (sorted(source.path.glob(each)) for each in _FOLDERS)), [])
     if len(files) > MAX_CAMERAS:
         raise InputError(source.path, f"found {len(files)} cameras, expected at most {MAX_CAMERAS}")

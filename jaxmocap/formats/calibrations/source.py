@@ -3,6 +3,7 @@
 INPUTS: a file or a folder. OUTPUTS: its content by its kind; a record of its cameras.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +15,7 @@ from jaxmocap.formats.calibrations.xml_cameras import parse_xml
 from jaxmocap.formats.cameras.opencv_yaml import read_entries
 from jaxmocap.formats.files.errors import InputError, comma_list
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.toml import TomlTable, is_folder, read_toml
+from jaxmocap.formats.files.toml import TomlTable, read_toml
 
 # A Motive file with the masks of a hundred cameras takes some ten megabytes.
 MAX_SOURCE_BYTES = 32 * 2**20
@@ -63,12 +64,8 @@ class SourceCalibration:
 
 
 def open_source(path: Path) -> Source:
-    """Read a file by what it begins with, or take a folder as it is.
-
-    Raises:
-        InputError: no such file, too large, or not what it begins as.
-    """
-    if is_folder(path):
+    """Read a file by what it begins with, or take a folder as it is; InputError for neither."""
+    if os.path.isdir(path):
         return Source(path)
     content = read_bytes(path, MAX_SOURCE_BYTES)
     if not content.strip():

@@ -135,17 +135,7 @@ def _pairs(frame: TomlTable, matrix: np.ndarray, size: np.ndarray) -> tuple[np.n
 def _fitted_lens(
     pixels: np.ndarray, plane: np.ndarray, matrix: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """OpenCV's coefficients of a lens by points.
-
-    Args:
-        pixels: (N, 2) distorted points, pixels.
-        plane: (N, 2) the same points on the plane z = 1.
-        matrix: (3, 3) intrinsic matrix.
-
-    Returns:
-        k1 k2 p1 p2 k3, with k4 k5 k6 where the lens needs them, else 0; and the largest distance
-        that they leave, pixels.
-    """
+    """k1 k2 p1 p2 k3 k4 k5 k6 of (N, 2) pixels of points on z = 1, and how far the worst is off."""
     focal, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2]
     x, y = plane.T
 

@@ -25,11 +25,7 @@ R_CAM_OPENGL = np.diag([1.0, -1.0, -1.0])
 
 
 def parse_xml(path: Path, content: bytes) -> Element:
-    """An element that holds the root element.
-
-    Raises:
-        InputError: not XML, not UTF-8 or UTF-16, with a document type, or of too many parts.
-    """
+    """An element that holds the root element; InputError for no XML, or too much of it."""
     try:
         text = content.decode(json.detect_encoding(content)).lstrip()
     except UnicodeDecodeError:
@@ -66,11 +62,7 @@ class XmlCamera:
             raise InputError(path, f"<{element.tag}> {name_attribute}: {found}")
 
     def fields(self, tags: str) -> TomlTable:
-        """Attributes of the element that tags lead to, ``.`` the camera's own.
-
-        Raises:
-            InputError: it is not there.
-        """
+        """Attributes of the element at these tags, ``.`` the camera's; InputError without one."""
         element = self.element.find(tags)
         if element is None:
             raise InputError(self.path, f"{self.where}: <{tags}> is missing")

@@ -81,11 +81,7 @@ def read_calibration(path: str | Path) -> dict[str, Camera]:
 
 
 def read_sections(path: str | Path) -> dict[str, Any]:
-    """The sections of a calibration file, as they stand there: see ``camera_of``.
-
-    Raises:
-        InputError: no such file, or no camera in it.
-    """
+    """A calibration file's sections as they stand; InputError without any. See ``camera_of``."""
     path = Path(path)
     sections = _sections(path)
     if not sections:
@@ -205,12 +201,7 @@ def is_orthonormal(matrix: np.ndarray) -> bool:
 
 
 def write_calibration(path: str | Path, cameras: dict[str, Camera]) -> None:
-    """Write a calibration file with one section per camera.
-
-    Args:
-        path: of the file.
-        cameras: section -> Camera.
-    """
+    """Write a calibration file with one section per camera."""
     sections = {}
     for name, camera in cameras.items():
         T_cam_world = np.asarray(camera.T_cam_world, float)
@@ -232,12 +223,7 @@ def shortest(distortions: np.ndarray) -> np.ndarray:
 
 
 def write_sections(path: str | Path, sections: Mapping[str, Mapping[str, Any]]) -> None:
-    """Write a calibration file of each camera's entries, in double precision.
-
-    Args:
-        path: of the file.
-        sections: camera -> ``Intrinsics.entries()``, rotation and translation (metres).
-    """
+    """Write each camera's ``Intrinsics.entries()``, rotation and translation (metres)."""
     write_toml(path, [(f"[{toml_key(name)}]", {"name": name, **entries})
                       for name, entries in sections.items()])  # fmt: skip
 

@@ -70,11 +70,7 @@ def camera_table(
 
 
 def read_entries(path: Path) -> dict[str, Any]:
-    """Top-level keys: text as it stands, or a dict of text where indented keys follow.
-
-    Raises:
-        InputError: no such file, or a line that is not of OpenCV's YAML.
-    """
+    """Top-level keys: their text, or a dict of text of indented keys; InputError names the line."""
     entries: dict[str, Any] = {}
     inside: dict[str, Any] | None = None
     # Where data that goes on belongs: a key's lines, joined at the end.

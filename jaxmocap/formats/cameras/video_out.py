@@ -46,15 +46,7 @@ class VideoFile:
 
 @contextmanager
 def replacing_video(path: str | Path, **options: Any) -> Iterator[VideoFile]:
-    """Write a video beside ``path`` and replace it at the end.
-
-    Args:
-        path: of the file.
-        options: of the container, as ``av.open`` takes them.
-
-    Raises:
-        OutputError: it cannot be written completely; what was there before is as it was.
-    """
+    """Write a video beside ``path``, with ``av.open``'s options; see ``replacing``."""
     files: list[VideoFile] = []
     with replacing(path, lambda part: files[0].is_complete(part)) as temporary:
         try:

@@ -55,16 +55,7 @@ class VideoSource:
 
 
 def read_videos(top: TomlTable, origin_world: np.ndarray | None = None) -> tuple[VideoSource, ...]:
-    """The videos of a recording's file.
-
-    Args:
-        top: the whole file.
-        origin_world: (3,) metres, subtracted from the cameras' positions; None: zero.
-
-    Raises:
-        InputError: a field that is missing, unknown or does not fit, or two cameras whose files
-            would be called the same.
-    """
+    """The videos of a recording's file; see ``read_video_tables``."""
     keys = ("file", "camera", "offset", "background", *_KEYPOINT_KEYS)
     return tuple(
         VideoSource(

@@ -49,11 +49,7 @@ class Address(NamedTuple):
 
 
 def read_address(fields: TomlTable, key: str, default: Address) -> Address:
-    """An address as "host:port" or as a port alone; or the default.
-
-    Raises:
-        InputError: it is neither.
-    """
+    """An address as "host:port" or as a port alone, or the default; InputError for neither."""
     if key not in fields:
         return default
     host, value = "", fields.entries[key]
@@ -80,11 +76,7 @@ def _number(host: str) -> IPv4Address | IPv6Address | None:
 
 
 def resolve_address(address: Address) -> tuple[socket.AddressFamily, Any]:
-    """Family and place of an address, as sockets take them; IPv4 where there are both.
-
-    Raises:
-        InputError: no such host.
-    """
+    """Family and place as sockets take them, IPv4 before IPv6; InputError for no such host."""
     try:
         addresses = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:

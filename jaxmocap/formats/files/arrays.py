@@ -32,8 +32,6 @@ MAX_NAME_CHARACTERS = 200
 MAX_HEADER_CHARACTERS = 10_000
 # Deflate makes at most 1032 bytes out of one.
 MAX_INFLATION = 1040
-# Decompressed at once, bytes.
-BLOCK_BYTES = 2**24
 
 # What arrays hold: the kinds of values that a format states.
 NUMBERS = "numbers"
@@ -127,12 +125,11 @@ class NpzArrays:
         return {name: self._read(name, what) for name, what in stated.items()}
 
     def _read(self, name: str, stated: ArraySpec) -> np.ndarray:
-        start, shape, fortran, dtype = self._header(name)
+        start, shape, dtype = self._header(name)
         self._check_kind(name, dtype, stated)
         self._check_shape(name, shape, stated)
         self._check_size(name, start, math.prod(shape), dtype, stated)
-        stored = self._values(name, start, math.prod(shape), dtype)
-        stored = stored.reshape(shape, order="F" if fortran else "C")
+        stored = self._stored(name)
         if stated.kind in (NAMES, TEXT):
             self._check_texts(name, stored, stated)
             return stored
@@ -146,11 +143,8 @@ class NpzArrays:
     def _error(self, name: str, problem: str) -> InputError:
         return InputError(self.path, f"{short_name(name)}: {problem}")
 
-    def _header(self, name: str) -> tuple[int, tuple[int, ...], bool, np.dtype]:
-        """Where the values start, their shape, whether in Fortran's order, and what they are.
-
-        The array's own header says so; a few thousand bytes are decompressed for it.
-        """
+    def _header(self, name: str) -> tuple[int, tuple[int, ...], np.dtype]:
+        """Where the values start, their shape and kind, of which some kB are decompressed."""
         try:
             with self._zip.open(self._members[name]) as member:
                 start = io.BytesIO(member.read(MAX_HEADER_CHARACTERS))
@@ -158,11 +152,11 @@ class NpzArrays:
             with warnings.catch_warnings():
                 # Headers of Python 2 are read as well.
                 warnings.simplefilter("ignore")
-                shape, fortran, dtype = read(start, max_header_size=MAX_HEADER_CHARACTERS)
+                shape, _, dtype = read(start, max_header_size=MAX_HEADER_CHARACTERS)
         # What parses the header raises any of a dozen, of the zip file and of Python's own text.
         except Exception:
             raise self._error(name, "no NumPy array, or damaged") from None
-        return start.tell(), shape, fortran, dtype
+        return start.tell(), shape, dtype
 
     def _check_kind(self, name: str, dtype: np.dtype, stated: ArraySpec) -> None:
         if dtype.hasobject:
@@ -216,24 +210,18 @@ class NpzArrays:
             most = f"expected at most {MAX_ARRAY_BYTES / 2**20:g} MB of arrays"
             raise self._error(name, f"states {stored / 2**20:.0f} MB, {most} in one file")
 
-    def _values(self, name: str, start: int, count: int, dtype: np.dtype) -> np.ndarray:
-        """(count,) values as they are stored, in this machine's order of bytes."""
-        values = np.empty(count * dtype.itemsize, np.uint8)
-        done = 0
+    def _stored(self, name: str) -> np.ndarray:
+        """The array, in this machine's order of bytes."""
         try:
-            with self._zip.open(self._members[name]) as member:
-                member.read(start)
-                while done < len(values):
-                    block = member.read(min(BLOCK_BYTES, len(values) - done))
-                    if not block:
-                        raise EOFError
-                    values[done : done + len(block)] = np.frombuffer(block, np.uint8)
-                    done += len(block)
+            with self._zip.open(self._members[name]) as member, warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                limit = MAX_HEADER_CHARACTERS
+                array = np.lib.format.read_array(member, False, max_header_size=limit)
                 # At the very end the checksum is compared.
                 member.read(1)
         except Exception:
             raise self._error(name, "damaged, or cut off") from None
-        return values.view(dtype).astype(dtype.newbyteorder("="), copy=False)
+        return array.astype(array.dtype.newbyteorder("="), copy=False)
 
     def _check_numbers(self, name: str, array: np.ndarray, stated: ArraySpec) -> None:
         low, high = stated.low, stated.high

@@ -123,11 +123,7 @@ class OutputFolder:
     def write(
         self, files: Callable[[Path], Iterable[Path]], more_follows: bool = False
     ) -> list[Path]:
-        """The same by a function that writes files into a folder and returns their paths.
-
-        Returns:
-            The files, as they are called once they are in place.
-        """
+        """The same by a function that writes files into a folder; their paths once in place."""
         with self.writing(more_follows) as stage:
             written = files(stage)
         return [self.path / path.relative_to(stage) for path in written]
@@ -223,11 +219,7 @@ def refuse_outputs(path: str | Path) -> None:
 
 
 def read_list(folder: Path) -> dict[str, ListedFile]:
-    """Name within a folder -> what its list says of it; nothing where there is no list.
-
-    Raises:
-        InputError: there is a file of its name that is no such list.
-    """
+    """Name -> what a folder's list says of it, nothing without one; InputError for no such list."""
     path = folder / LIST_NAME
     if not os.path.lexists(path):
         return {}

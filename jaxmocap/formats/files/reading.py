@@ -31,11 +31,7 @@ _KINDS = (
 
 
 def regular_file(path: str | Path) -> Path:
-    """The path, of a regular file that is there; nothing is opened.
-
-    Raises:
-        InputError: no such file, a name that no file can have, or something else than a file.
-    """
+    """The path of a regular file that is there; InputError for none. Nothing is opened."""
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:
@@ -52,15 +48,9 @@ def regular_file(path: str | Path) -> Path:
 
 @contextmanager
 def open_regular(path: str | Path, max_bytes: int = MAX_BYTES) -> Iterator[BinaryIO]:
-    """A regular file, open to be read from its beginning.
+    """A regular file, open from its beginning; InputError for none, or a larger one.
 
-    Args:
-        path: of the file.
-        max_bytes: bytes that it may hold; a file of the system may be endless and say that it is
-            empty, so whoever reads counts as well.
-
-    Raises:
-        InputError: it is missing, cannot be read, is no regular file, or is too large.
+    A file of the system may be endless and say that it is empty: whoever reads counts as well.
     """
     regular_file(path)
     try:
@@ -76,15 +66,7 @@ def open_regular(path: str | Path, max_bytes: int = MAX_BYTES) -> Iterator[Binar
 
 
 def read_bytes(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
-    """A regular file's content.
-
-    Args:
-        path: of the file.
-        max_bytes: bytes that it may hold.
-
-    Raises:
-        InputError: it is missing, cannot be read, is no regular file, or is too large.
-    """
+    """A regular file's content; InputError for none, or one of more bytes than it may hold."""
     with open_regular(path, max_bytes) as file:
         try:
             content = file.read(max_bytes + 1)
@@ -113,15 +95,7 @@ _NOT_TEXT = re.compile("[\0\ud800-\udfff]")
 
 
 def numbered_lines(path: str | Path, max_bytes: int = MAX_TABLE_BYTES) -> Iterator[tuple[int, str]]:
-    """Number, from 1, and text of every line, without byte-order mark and line ends.
-
-    Args:
-        path: of the file.
-        max_bytes: bytes that it may hold.
-
-    Raises:
-        InputError: no such file, nothing in it, or the line that is no text or too long.
-    """
+    """Number, from 1, and text of every line, without mark and ends; InputError names the line."""
     number, is_empty = 0, True
     for lines in _blocks(path, max_bytes):
         if number + len(lines) > MAX_LINES:

@@ -8,6 +8,7 @@ square of a key's parts (16 kB take seconds), and calls itself for every level o
 """
 
 import json
+import os
 import re
 import sys
 import tomllib
@@ -94,12 +95,7 @@ _RESERVED_NAMES = {"con", "prn", "aux", "nul"} | {
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises:
-        InputError: no such file, larger than any of ours, not TOML (with line and column), or
-            nested too deeply.
-    """
+    """Read a TOML file; InputError, with line and column, for no TOML, or too much of it."""
     return parse_toml(path, read_toml_text(path))
 
 
@@ -170,6 +166,14 @@ class TomlTable:
         if key not in self.entries:
             raise self.error("", f"{key!r} is missing")
         return self.entries[key]
+
+    def only_one(self, *keys: str) -> str:
+        """Which of these keys it has; InputError unless that is exactly one."""
+        stated = [key for key in keys if key in self.entries]
+        if len(stated) != 1:
+            found = " and ".join(stated) or "none"
+            raise self.error("", f"found {found}, expected one of {', '.join(keys)}")
+        return stated[0]
 
     def text(self, key: str) -> str:
         """A required text that is not empty."""
@@ -248,21 +252,13 @@ class TomlTable:
         """A required path, relative to the TOML file, of a file (or folder) that is there."""
         path = self.path.parent / self.text(key)
         if folder:
-            if not is_folder(path):
+            if not os.path.isdir(path):
                 raise self.error(key, f"no such folder: {path}")
             return path
         try:
             return regular_file(path)
         except InputError as error:
             raise self.error(key, f"{error.problem}: {path}") from None
-
-
-def is_folder(path: Path) -> bool:
-    """Is there a folder of that name? Of a name that none can have there is not."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
 
 
 def toml_value(value: Any) -> str:
@@ -293,12 +289,7 @@ def toml_key(key: str) -> str:
 
 
 def write_toml(path: str | Path, tables: list[tuple[str, dict[str, Any]]]) -> None:
-    """Write tables in order.
-
-    Args:
-        path: of the file.
-        tables: header line, such as ``[markers]`` or ``[[video]]``, and entries of each.
-    """
+    """Write tables in order: of each its header, such as ``[markers]``, and its entries."""
     blocks = [
         "\n".join(
             [header, *(f"{toml_key(key)} = {toml_value(item)}" for key, item in table.items())]

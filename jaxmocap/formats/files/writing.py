@@ -72,13 +72,7 @@ def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> 
 def check_target(path: str | Path, inputs: Iterable[str | Path] = ()) -> Path:
     """The path of a file to write, looked at before the work begins; nothing is made.
 
-    Args:
-        path: of the file.
-        inputs: files that the work reads, which it must not replace.
-
-    Raises:
-        InputError: it is one of the inputs, a folder or a device, or its folder cannot be made or
-            written to.
+    InputError where the work reads it as one of its inputs, or it cannot be written to.
     """
     path = Path(path)
     check_file_name(path)
@@ -118,30 +112,18 @@ def check_folder_writable(folder: Path) -> None:
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
-    """Write a complete file.
-
-    Raises:
-        OutputError: see ``replacing``.
-    """
+    """Write a complete file; OutputError as ``replacing`` has it."""
     with replacing(path) as temporary:
         temporary.write_bytes(content)
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a whole text file: UTF-8, lines end with a line feed on every system.
-
-    Raises:
-        OutputError: see ``replacing``.
-    """
+    """Write a whole text file by ``write_bytes``: UTF-8, lines end with a line feed everywhere."""
     write_bytes(path, text.encode())
 
 
 def write_lines(path: str | Path, *parts: Iterable[str]) -> None:
-    """Write a text file of any length line by line, one part after the other.
-
-    Raises:
-        OutputError: see ``replacing``.
-    """
+    """Write a text file of any length line by line, part after part; see ``replacing``."""
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{line}\n" for lines in parts for line in lines)
 

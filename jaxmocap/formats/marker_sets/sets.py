@@ -161,12 +161,7 @@ def _both_sides(pattern: str, entry: dict[str, Any]) -> list[tuple[str, dict[str
 
 
 def read_set(fields: TomlTable, labels: Sequence[str], skeleton: Skeleton) -> MarkerSet | None:
-    """The set that [markers] names; None where it names none.
-
-    Args:
-        fields: of [markers].
-        labels: of the marker file.
-        skeleton: of the person.
+    """The set that [markers] names, of the file's labels, by a person's size; None without.
 
     Raises:
         InputError: no such set, nothing of it in the file, several people in it, or a marker to

@@ -96,11 +96,7 @@ def write_opensim(path: str | Path, motion: Motion) -> list[str]:
 
 
 def opensim_coordinates(motion: Motion) -> dict[str, np.ndarray]:
-    """Each of the ``COORDINATES`` -> (T,) radians, without jumps, and metres of the pelvis.
-
-    Args:
-        motion: whose samples all have a pose.
-    """
+    """Each of ``COORDINATES`` -> (T,) radians, no jumps, or metres; every sample has a pose."""
     skeleton = motion.skeleton
     turns = body_turns(skeleton, np.asarray(motion.poses.angles, float))
     R_pelvis_bone = R_BONE_ISB.T @ turns @ R_BONE_ISB
@@ -152,10 +148,7 @@ def _mirrored(R: np.ndarray, side: str) -> np.ndarray:
 def _limb_turns(
     skeleton: Skeleton, R_thorax: np.ndarray, R_pelvis_bone: np.ndarray, part: str, side: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The model's near body (T, 3, 3) in pelvis or thorax, and the angle (T,) of knee or elbow.
-
-    The far segment is bent about our hinge, which lies across both, however straight they are.
-    """
+    """The model's near body (T, 3, 3) in pelvis or thorax, and the knee's or elbow's angle (T,)."""
     is_leg = part == "leg"
     limb: Limb = rajagopal.leg() if is_leg else rajagopal.arm()
     bones = [_bone(skeleton, b, side) for b in (("femur", "tibia") if is_leg else
@@ -194,15 +187,7 @@ def _pelvis_places(motion: Motion, R_file_pelvis: np.ndarray) -> np.ndarray:
 def _pronation(
     skeleton: Skeleton, R_humerus: np.ndarray, elbow: np.ndarray, R_radius: np.ndarray, side: str
 ) -> np.ndarray:
-    """``pro_sup`` (T,) that points the thumb as ours does; constant where no joint does.
-
-    Args:
-        skeleton: ours.
-        R_humerus: (T, 3, 3) of the model's, mirrored as all that follows.
-        elbow: (T,) ``elbow_flex``.
-        R_radius: (T, 3, 3) of ours.
-        side: "l" or "r".
-    """
+    """``pro_sup`` (T,) that points the thumb as ours does, mirrored; constant without a joint."""
     joint = next(joint for joint in LIMB_JOINTS if joint.name == "elbow")
     if 2 not in made_by_hinges(skeleton, joint, side):
         return np.full(len(elbow), rajagopal.THUMB_FORWARD)

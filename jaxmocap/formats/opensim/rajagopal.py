@@ -100,14 +100,7 @@ class Limb(NamedTuple):
 
 
 def _limb(middle: np.ndarray, ends: np.ndarray, angles: np.ndarray, axis: np.ndarray) -> Limb:
-    """A limb by its middle joint (3,) and far end (K, 3), seen from the first joint.
-
-    Args:
-        middle: in the near body.
-        ends: in the near body, at each angle.
-        angles: of the coordinate.
-        axis: (3,) about which it bends, roughly.
-    """
+    """A limb by its middle joint (3,), its far end (K, 3) at each angle, roughly about an axis."""
     length = float(np.linalg.norm(middle))
     near = middle / length
     across, along = np.cross(near, ends - middle), (ends - middle) @ near

@@ -51,11 +51,7 @@ class Filters:
 
 
 def read_filters(fields: TomlTable) -> Filters:
-    """Filters of the table.
-
-    Raises:
-        InputError: a field of the wrong kind, or a length or frequency that is not positive.
-    """
+    """Filters of the table; InputError for a field of another kind, or not above 0."""
     return Filters(
         hampel=fields.flag("hampel"),
         gaps=_positive(fields, "gaps") if "gaps" in fields else 0.0,

@@ -87,11 +87,7 @@ def json_files(folder: Path) -> list[Path]:
 
 
 def read_keypoint_frames(file: Path) -> Iterator[KeypointFrame]:
-    """The frames of one file, whose layout follows from its keys.
-
-    Raises:
-        InputError: not JSON, none of these layouts, or the entry that does not fit.
-    """
+    """The frames of a file, whose layout follows from its keys; InputError names the entry."""
     text = read_bytes(file, MAX_FILE_BYTES).removeprefix(codecs.BOM_UTF8)
     if (numbers := text.count(b",")) > MAX_FILE_NUMBERS:
         problem = f"found {numbers} numbers, expected at most {MAX_FILE_NUMBERS} in one file"

@@ -6,6 +6,7 @@ OUTPUTS: Detections: pixels and confidences of the landmarks that the detector's
 everybody in every frame.
 """
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -15,7 +16,6 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.reading import regular_file
-from jaxmocap.formats.files.toml import is_folder
 from jaxmocap.formats.recordings.keypoint_files import (
     KeypointFrame,
     json_files,
@@ -109,7 +109,7 @@ def check_keypoint_count(path: str | Path, frames: int, people: int, landmarks: 
 
 def _frames(path: Path) -> Iterator[KeypointFrame]:
     """All frames of all files, as many as fit into memory."""
-    files = json_files(path) if is_folder(path) else [regular_file(path)]
+    files = json_files(path) if os.path.isdir(path) else [regular_file(path)]
     if not files:
         raise InputError(path, "found no .json file, expected one per frame or one for the video")
     total = 0

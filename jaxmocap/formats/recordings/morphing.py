@@ -28,12 +28,7 @@ LARGEST_GAIN = {"joint": np.pi, "swelling": 0.3}
 
 
 def read_morphing(path: str | Path, tree: Tree, patches: tuple[Patch, ...]) -> Morphing:
-    """Read what goes along.
-
-    Args:
-        path: of the file.
-        tree: of the body, whose joints drive and follow.
-        patches: of the body's surface.
+    """Read what goes along with a body's joints and its surface's patches.
 
     Raises:
         InputError: no such file, a field that is missing or of another kind, a joint or a patch

@@ -99,11 +99,7 @@ class Recording:
         return tuple(place.name for place in self.places)
 
     def require_markers(self) -> "Recording":
-        """The recording itself, where it has markers.
-
-        Raises:
-            InputError: it has none.
-        """
+        """The recording itself, where it has markers; InputError where it has none."""
         if not self.places:
             raise self.error("[markers] is missing, which is needed to follow markers")
         return self
@@ -194,11 +190,7 @@ def _at_local_origin(top: TomlTable, recording: Recording) -> Recording:
 
 
 def load_markers(path: str | Path) -> tuple[Markers, tuple[MarkerPlace, ...]]:
-    """The markers of a recording file as measured, in the world's axes, and their places.
-
-    Raises:
-        InputError: see ``load_recording``.
-    """
+    """A recording file's markers as measured, in the world's axes, and their places."""
     path = Path(path)
     keys = ("markers", "video", "calibration", "subject")
     top, skeleton = TomlTable(path, "", read_toml(path), keys), Skeleton.human()

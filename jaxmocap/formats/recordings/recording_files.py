@@ -16,16 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.toml import is_folder, read_toml
+from jaxmocap.formats.files.toml import read_toml
 from jaxmocap.formats.recordings.keypoint_files import json_files
 
 
 def input_files(path: str | Path) -> list[Path]:
-    """A recording's file and all regular files that it names, or that are not there, by path.
-
-    Raises:
-        InputError: the recording's file itself is missing or not TOML.
-    """
+    """A recording's file, and all regular or missing ones that it names; InputError for no TOML."""
     path = Path(path)
     content = read_toml(path)
     folder, subject = path.parent, _table(content.get("subject"))
@@ -56,7 +52,7 @@ def _files(folder: Path, text: Any) -> set[Path]:
     if not isinstance(text, str) or not text:
         return set()
     path = folder / text
-    if is_folder(path):
+    if os.path.isdir(path):
         try:
             return set(json_files(path))
         except InputError:

@@ -41,15 +41,7 @@ _SKELETON_FIELDS = {
 
 
 def subject_or_default(top: TomlTable, wrists: bool = False) -> tuple[Skeleton, tuple[str, ...]]:
-    """The skeleton of a file's [subject], or of the default height with a warning.
-
-    Args:
-        top: the file.
-        wrists: whether it has wrists where the file does not state it.
-
-    Raises:
-        InputError: see ``read_subject``.
-    """
+    """A file's [subject] (see ``read_subject``), or one of the default height with a warning."""
     if "subject" in top:
         return read_subject(top.path, "[subject]", top.entries["subject"], wrists), ()
     warning = f"{top.path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed"
@@ -73,21 +65,15 @@ def read_subject(path: Path, where: str, table: Any, wrists: bool = False) -> Sk
     fields = TomlTable(path, where, table, keys)
     usual = fields.flag("wrists", wrists)
     rest = {key: value for key, value in fields.entries.items() if key != "wrists"}
-    if "file" in rest:
-        if also := [key for key in ("height", "static") if key in fields]:
-            stated = " and ".join(["file", *also])
-            raise fields.error("", f"found {stated}, expected one of file, height, static")
+    stated = fields.only_one("file", "height", "static")
+    if stated == "file":
         other = TomlTable(path, where, rest, ("file",)).file("file")
         content = read_toml(other)
         if "file" in content:
             raise fields.error("file", f"{other} names yet another file, expected height or static")
         skeleton = read_subject(other, "", content, usual)
         return with_wrists(skeleton) if fields.flag("wrists") else skeleton
-    chosen = [key for key in ("height", "static") if key in rest]
-    if len(chosen) != 1:
-        stated = " and ".join(chosen) or "none"
-        raise fields.error("", f"found {stated}, expected one of file, height, static")
-    if chosen == ["height"]:
+    if stated == "height":
         skeleton = _by_height(TomlTable(path, where, rest, _HEIGHT_KEYS))
     else:
         skeleton = _by_static_trial(TomlTable(path, where, rest, _STATIC_KEYS))
@@ -95,11 +81,7 @@ def read_subject(path: Path, where: str, table: Any, wrists: bool = False) -> Sk
 
 
 def person_table(path: Path) -> TomlTable:
-    """A recording file's [subject], or what the file has that it names; empty where there is none.
-
-    Raises:
-        InputError: it names a file that cannot be read.
-    """
+    """A recording file's [subject], or the file's that it names; empty where there is none."""
     fields = TomlTable(path, "[subject]", read_toml(path).get("subject", {}))
     if "file" not in fields:
         return fields
@@ -172,14 +154,7 @@ def check_replaceable(path: Path) -> None:
 def write_subject(
     path: str | Path, skeleton: Skeleton, height: float, comments: Sequence[str] = ()
 ) -> None:
-    """Write a body's bones to a file that [subject] may name.
-
-    Args:
-        path: of the TOML file.
-        skeleton: of the person.
-        height: metres, from which follows what nobody states.
-        comments: lines of what the lengths rest on, to be read above them.
-    """
+    """Write a body's bones to a file for [subject]: what it leaves open follows from the height."""
     masses = np.asarray(skeleton.masses, float)
     usual = Skeleton.human(height)
     entries = {}

@@ -36,11 +36,7 @@ MAX_VALUES_WITH_ORIENTATIONS = 35_000_000
 
 
 def read_csv(path: str | Path) -> Markers:
-    """Read a CSV file of markers.
-
-    Raises:
-        InputError: no such file, or the line that does not fit.
-    """
+    """Read a CSV file of markers; InputError names the line that does not fit."""
     lines = numbered_lines(path)
     names, has_orientation = _names(path, next(lines)[1])
     data = ((number, line.split(",")) for number, line in lines)

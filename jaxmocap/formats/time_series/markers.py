@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.formats.animation.bvh_in import read_bvh
+from jaxmocap.formats.animation.bvh import read_bvh
 from jaxmocap.formats.animation.gltf_in import read_gltf
 from jaxmocap.formats.armatures.armature import Armature, joint_positions
 from jaxmocap.formats.files.errors import InputError
@@ -39,11 +39,7 @@ def default_up(path: str | Path) -> str:
 
 
 def read_markers(path: str | Path) -> Markers:
-    """Read a marker file by its suffix.
-
-    Raises:
-        InputError: an unknown suffix, or what the reader of that format finds wrong.
-    """
+    """Read a marker file by its suffix; InputError for an unknown one, or as its reader says."""
     suffix = Path(path).suffix.lower()
     if suffix not in _READERS:
         raise InputError(path, f"unknown suffix {suffix!r}, expected one of {', '.join(_READERS)}")
@@ -56,11 +52,7 @@ MAX_POINTS = 1000
 
 
 def read_points(path: str | Path) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Read a file of points; one without a name is called by its line.
-
-    Raises:
-        InputError: no such file, or the line that does not fit.
-    """
+    """Read a file of points, those without a name called by their line; InputError names it."""
     lines = read_lines(path)
     header = [cell.strip() for cell in lines[0].split(",")]
     named = header == ["name", *_COLUMNS]

@@ -64,10 +64,7 @@ def write_mot(path: str | Path, motion: Motion) -> list[str]:
 
 
 def write_isb(path: str | Path, motion: Motion) -> list[str]:
-    """Write the angles of ISB's joint coordinate systems; NaN where a pose is unknown.
-
-    Returns ``write_table``'s.
-    """
+    """Write ISB's angles, NaN where a pose is unknown. Returns ``write_table``'s."""
     angles = isb_angles(motion)
 
     def table(rows: Index) -> np.ndarray:
@@ -78,11 +75,7 @@ def write_isb(path: str | Path, motion: Motion) -> list[str]:
 
 
 def write_table(path: Path, times: np.ndarray, names: Sequence[str], table: Rows) -> list[str]:
-    """Write columns (T, C) of these names, degrees but for places.
-
-    Returns:
-        A sentence on the largest step of an angle, where one is larger than ``LARGEST_STEP_DEG``.
-    """
+    """Write columns (T, C), degrees but for places; a sentence where an angle jumps, or none."""
     head = [path.stem, "version=1", f"nRows={len(times)}", f"nColumns={len(names) + 1}"]
     lines = [*head, "inDegrees=yes", "endheader", "\t".join(["time", *names])]
     rows = zip(times, row_texts(table, "\t", decimals=8, nan="NaN"), strict=True)
@@ -153,11 +146,7 @@ def _is_angle(name: str) -> bool:
 def motion_from_angles(
     path: str | Path, times: np.ndarray, columns: Mapping[str, np.ndarray], skeleton: Skeleton
 ) -> Motion:
-    """The motion of a skeleton that a file written by ``write_mot`` holds.
-
-    Raises:
-        InputError: a column is missing.
-    """
+    """The motion of a skeleton in a file by ``write_mot``; InputError where a column is missing."""
     names = (*TRANSLATION_COLUMNS, *ROTATION_COLUMNS, *skeleton.tree.joints)
     missing = [name for name in names if name not in columns]
     if missing:

@@ -22,7 +22,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.formats.armatures.armature import Armature
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.tables import Markers
-from jaxmocap.geometry.rows import ComputedRows, Rows, taken
+from jaxmocap.geometry.rows import ComputedRows, Index, Rows, row_blocks, taken
 
 # Numbers that may come of any recording, and at most: half an hour of a body at 200 Hz is 81
 # million, 0.65 GB.
@@ -78,12 +78,14 @@ class Interpolation(NamedTuple):
     fraction: np.ndarray
     in_gap: np.ndarray
 
+    def at(self, rows: Index) -> "Interpolation":
+        """Of some of the times."""
+        return Interpolation(*(each[rows] for each in self))
+
     def blocks(self, columns: int) -> Iterator[tuple[slice, "Interpolation"]]:
         """Some times in a row and where they lie, so few that copies take little memory."""
-        size = max(1, BLOCK_NUMBERS // max(columns, 1))
-        for first in range(0, len(self.fraction), size):
-            block = slice(first, first + size)
-            yield block, Interpolation(*(each[block] for each in self))
+        for rows in row_blocks(len(self.fraction), BLOCK_NUMBERS // max(columns, 1)):
+            yield rows, self.at(rows)
 
 
 def interpolation_at(times: np.ndarray, new_times: np.ndarray) -> Interpolation:
@@ -120,10 +122,7 @@ def lerp(values: np.ndarray, at: Interpolation) -> np.ndarray:
 
 
 def slerp(R: Rows, at: Interpolation) -> np.ndarray:
-    """(N, ..., 3, 3) spherical linear interpolation of (T, ..., 3, 3) rotations.
-
-    NaN where one of the two is, and within gaps.
-    """
+    """(N, ..., 3, 3) between rotations (T, ..., 3, 3); NaN where one is, and within gaps."""
     R_then = np.empty((len(at.fraction), *R.shape[1:]))
     for block, at_block in at.blocks(int(np.prod(R.shape[1:]))):
         ends = R[at_block.before], R[at_block.after]
@@ -145,7 +144,7 @@ def resampled_armature(armature: Armature, times: np.ndarray) -> Armature:
     at = interpolation_at(armature.times, times)
     rotations = ComputedRows(
         (len(times), *armature.rotations.shape[1:]),
-        lambda rows: slerp(armature.rotations, Interpolation(*(each[rows] for each in at))),
+        lambda rows: slerp(armature.rotations, at.at(rows)),
     )
     positions = lerp(armature.positions, at)
     return replace(armature, times=times, positions=positions, rotations=rotations)

@@ -237,10 +237,7 @@ def check_times(
 
 
 def is_even(times: np.ndarray) -> bool:
-    """Does no step of (T,) times differ from their mean by more than a hundredth of it?
-
-    Two microseconds are always allowed, since text files round.
-    """
+    """Does no step of (T,) times differ from the mean by more than 1 %, or 2 µs as text rounds?"""
     steps = np.diff(times)
     return not len(steps) or bool(
         np.abs(steps - steps.mean()).max() <= max(0.01 * steps.mean(), 2e-6)
@@ -248,11 +245,7 @@ def is_even(times: np.ndarray) -> bool:
 
 
 def even_rate(path: str | Path, times: np.ndarray) -> float:
-    """Samples per second of (T,) evenly spaced times; 1 for a single one.
-
-    Raises:
-        InputError: they are not evenly spaced.
-    """
+    """Samples per second of (T,) even times, 1 for a single one; InputError where they are not."""
     if len(times) == 1:
         return 1.0
     steps, step = np.diff(times), (times[-1] - times[0]) / (len(times) - 1)

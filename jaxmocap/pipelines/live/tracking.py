@@ -26,7 +26,7 @@ from jaxmocap.body.model import marker_sites
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.capture.markers import RecentMarkers
-from jaxmocap.capture.one_euro import OneEuro
+from jaxmocap.capture.one_euro import filter_step, initial_state
 from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.formats.recordings.marker_places import bone_points
@@ -93,7 +93,7 @@ class LiveTracking:
         if tracker is None:
             tracker = HybridTracker(setup.skeleton, cameras, settings, sites)
         self.tracker = tracker
-        self._filter = None if setup.one_euro is None else OneEuro(setup.one_euro)
+        self._filter = setup.one_euro
         self._ended, self._can_solve = Event(), Event()
         self._compiling: Future[None] | None = None
         self._reset()
@@ -135,7 +135,7 @@ class LiveTracking:
         self._last_frame = self._last_frame_arrived = -np.inf
         points = len(self.tracker.model.markers.bones)
         self._recent_markers = RecentMarkers(points)
-        self._filtered = None if self._filter is None else self._filter.init(points)
+        self._filtered = None if self._filter is None else initial_state(points)
         model, settings = self.tracker.model, self.tracker.settings.smoothing
         self._smoother = FixedLagSmoother(model, settings) if self._smooth else None
         self._pending: list[MarkerSample | LiveFrame] = []
@@ -174,7 +174,7 @@ class LiveTracking:
             return []
         if self._filter is not None and self._filtered is not None:
             points = sample.positions_world
-            self._filtered, points = self._filter.step(self._filtered, sample.time, points)
+            self._filtered, points = filter_step(self._filter, self._filtered, sample.time, points)
             sample = sample._replace(positions_world=points)
         self._recent_markers.add(sample.time, sample.positions_world)
         if self._state is None:
