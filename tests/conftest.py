@@ -62,7 +62,7 @@ FLOAT32_TOLERANCES = {
     "centre_of_gravity": 2e-6,  # metres
     "masses": 2e-5,  # kilograms
     "arms": 2e-5,  # metres
-    "pixels": 2e-3,
+    "pixels": 1e-3,
     "rays": 1e-6,
 }
 LIMITS = np.asarray(Skeleton.human().limits)

@@ -78,6 +78,3 @@ def test_our_simplex_and_scipys_find_the_same_minima():
     for field, grip, a, b in zip(fields, grips, ours, theirs, strict=True):
         costs = [algorithms.arm_cost(np, field, grip, np.asarray(h, float)) for h in (a, b)]
         assert costs[0] == pytest.approx(costs[1], abs=0.05)
-
-
-# Growth ------------------------------------------------------------------------------------------

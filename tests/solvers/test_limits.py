@@ -13,16 +13,15 @@ from jaxmocap.solvers.limits import room, step_within
 NEAR = 1e-3
 
 
-def stepped(matrix, target, low, high, free=None, rounds=2):
+def stepped(matrix, target, low, high, free):
     """Two equations solved by the unknowns that may move, as little as possible."""
 
     def step(moves):
         A = jnp.where(moves, jnp.asarray(matrix), 0.0)
         return jnp.linalg.pinv(A) @ jnp.asarray(target)
 
-    moving = jnp.ones(len(low), bool) if free is None else jnp.asarray(free)
-    actual = step_within(step, jnp.asarray(low), jnp.asarray(high), moving, NEAR, rounds)
-    return np.asarray(actual)
+    limits = jnp.asarray(low), jnp.asarray(high)
+    return np.asarray(step_within(step, *limits, jnp.asarray(free), NEAR, 2))
 
 
 def test_room_is_what_is_left_to_either_side():
@@ -37,46 +36,27 @@ def test_room_is_what_is_left_to_either_side():
 
 TWO_OF_THREE = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]], np.float32)
 TARGET = np.array([0.4, 0.3], np.float32)
-WIDE = np.full(3, 9.0, np.float32)
 
 
-def test_without_limits_near_the_step_is_the_solve():
-    np.testing.assert_allclose(
-        stepped(TWO_OF_THREE, TARGET, -WIDE, WIDE), [0.2, 0.2, 0.3], atol=1e-6
-    )
-
-
-def test_what_is_at_its_limit_and_would_go_on_leaves_to_the_others():
-    high = np.array([0.0, 9.0, 9.0], np.float32)
-    np.testing.assert_allclose(
-        stepped(TWO_OF_THREE, TARGET, -WIDE, high), [0.0, 0.4, 0.3], atol=1e-6
-    )
-    low = np.array([0.0, -9.0, -9.0], np.float32)
-    np.testing.assert_allclose(
-        stepped(TWO_OF_THREE, -TARGET, low, WIDE), [0.0, -0.4, -0.3], atol=1e-6
-    )
-
-
-def test_what_is_at_its_limit_and_turns_back_stays():
-    high = np.array([0.0, 9.0, 9.0], np.float32)
-    np.testing.assert_allclose(
-        stepped(TWO_OF_THREE, -TARGET, -WIDE, high), [-0.2, -0.2, -0.3], atol=1e-6
-    )
-
-
-def test_what_reaches_its_limit_from_afar_stays():
-    """It is cut short by who takes the step, and leaves the next one if it is still pulled."""
-    high = np.array([0.1, 9.0, 9.0], np.float32)
-    np.testing.assert_allclose(
-        stepped(TWO_OF_THREE, TARGET, -WIDE, high), [0.2, 0.2, 0.3], atol=1e-6
-    )
-
-
-def test_what_may_not_move_does_not():
-    free = [False, True, True]
-    np.testing.assert_allclose(
-        stepped(TWO_OF_THREE, TARGET, -WIDE, WIDE, free), [0.0, 0.4, 0.3], atol=1e-6
-    )
+@pytest.mark.parametrize(
+    ("sign", "first", "free", "expected"),
+    [
+        (1, 9.0, True, [0.2, 0.2, 0.3]),  # no limit is near: the solve
+        (1, 0.0, True, [0.0, 0.4, 0.3]),  # at its limit, and would go on: leaves it to the others
+        (-1, 0.0, True, [-0.2, -0.2, -0.3]),  # at its limit, and turns back: stays
+        # From afar it is cut short by who takes the step, and leaves the next one if still pulled.
+        (1, 0.1, True, [0.2, 0.2, 0.3]),
+        (1, 9.0, False, [0.0, 0.4, 0.3]),  # what may not move does not
+    ],
+)
+def test_who_would_go_on_at_a_limit_leaves_the_step_to_the_others(sign, first, free, expected):
+    wide, limits = np.full(3, 9.0, np.float32), np.array([first, 9.0, 9.0], np.float32)
+    free = [free, True, True]
+    actual = stepped(TWO_OF_THREE, sign * TARGET, -wide, limits, free)
+    np.testing.assert_allclose(actual, expected, atol=1e-6)
+    # The same at the lower limits.
+    actual = stepped(TWO_OF_THREE, -sign * TARGET, -limits, wide, free)
+    np.testing.assert_allclose(actual, -np.array(expected), atol=1e-6)
 
 
 @pytest.mark.parametrize("rounds", [1, 2, 3])
