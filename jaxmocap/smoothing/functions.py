@@ -42,16 +42,19 @@ from jaxmocap.smoothing.settings import SmoothingSettings, weighed_by_time
 from jaxmocap.smoothing.window.elimination import Evidence, MarginalPrior, eliminate, steps_of
 from jaxmocap.smoothing.window.solving import SOFTNESS
 from jaxmocap.solvers.descent import tree_where
-from jaxmocap.solvers.optimum import following
+from jaxmocap.solvers.optimum import LEAST_CURVATURE, following
 
 # An acceleration takes so many.
 FEWEST_EVENTS = 3
 # Steps of the descent, at most; damping, nats per squared metre or radian, that it begins with, at
-# most, and factors on it.
-STEPS, DAMPING, LARGEST_DAMPING, EASED, RAISED = 60, 1e-2, 1e9, 0.1, 10.0
+# least, at most, and factors on it.
+STEPS, DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 60, 1e-2, 1e-3, 1e9
+EASED, RAISED = 0.1, 10.0
 # The last step lowers the cost by less than so many precisions, nats, and by less than what
 # rounding does to it; and its largest entry is less than so many roots of the precision.
 LITTLE, SHORT = 100.0, 30.0
+# Costs that differ by less, as a share, in roots of the precision, are alike: that is rounding.
+ALIKE = 0.03
 
 
 class Events(NamedTuple):
@@ -174,9 +177,13 @@ def _moved(problem: _Problem, poses: Pose) -> Pose:
     if problem.silhouettes is not None:
         gradient += _drawn(problem, poses).gradient
     change = gradient - jax.lax.stop_gradient(gradient)
-    _, evidence = _step(problem, slopes, jnp.zeros((), change.dtype))
+    still, no_damping = jax.lax.stop_gradient(slopes), jnp.zeros((), change.dtype)
+    # Where hardly any curvature is left, single precision cannot tell how much.
+    less = still._replace(hessian=(1 - LEAST_CURVATURE) * still.hessian)
+    is_curved = jnp.all(jnp.isfinite(_solved(_about(problem, less, no_damping + 1), no_damping)))
+    evidence = _about(problem, still, is_curved.astype(change.dtype))
     evidence = jax.lax.stop_gradient(evidence)._replace(gradient=change)
-    return retract(poses, _solved(evidence, jnp.zeros((), change.dtype)))
+    return retract(poses, _solved(evidence, no_damping))
 
 
 def _cost(problem: _Problem, poses: Pose) -> Array:
@@ -256,18 +263,20 @@ def _drawn(problem: _Problem, poses: Pose, exactly: bool = False) -> Silhouettes
     return jax.lax.map(of_event, (poses, problem.silhouettes))
 
 
-def _step(problem: _Problem, slopes: _Slopes, damping: Array) -> tuple[Array, Evidence]:
-    """The damped step (T, N), and what it solves: Newton's equations, or Gauss-Newton's.
+def _about(problem: _Problem, slopes: _Slopes, curved: Array) -> Evidence:
+    """What a step solves: Newton's equations, or with ``curved`` 0 Gauss-Newton's."""
+    ties = jnp.pad(_stencil(problem), ((0, REACH), (0, 0)))
+    # The prior's own slope is in the gradient.
+    no_points = jnp.zeros(slopes.jacobian.shape[:2], curved.dtype)
+    hessian = slopes.hessian + curved * slopes.bending
+    return Evidence(hessian, slopes.gradient, no_points, slopes.jacobian, ties)
+
+
+def _step(problem: _Problem, slopes: _Slopes, damping: Array) -> Array:
+    """The damped step (T, N) by Newton's equations, or Gauss-Newton's.
 
     Where Newton's Hessian is not positive it is of no minimum.
     """
-    ties = jnp.pad(_stencil(problem), ((0, REACH), (0, 0)))
-    # The prior's own slope is in the gradient.
-    no_points = jnp.zeros(slopes.jacobian.shape[:2], damping.dtype)
-
-    def about(curved: Array) -> Evidence:
-        hessian = slopes.hessian + curved * slopes.bending
-        return Evidence(hessian, slopes.gradient, no_points, slopes.jacobian, ties)
 
     def unsound(carry: tuple[Array, Array]) -> Array:
         curved, step = carry
@@ -275,11 +284,10 @@ def _step(problem: _Problem, slopes: _Slopes, damping: Array) -> tuple[Array, Ev
 
     def solve(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         curved = carry[0] - 1
-        return curved, _solved(about(curved), damping)
+        return curved, _solved(_about(problem, slopes, curved), damping)
 
     first = jnp.full((), 2.0, damping.dtype), jnp.full_like(slopes.gradient, jnp.nan)
-    curved, step = jax.lax.while_loop(unsound, solve, first)
-    return step, about(curved)
+    return jax.lax.while_loop(unsound, solve, first)[1]
 
 
 def _solved(evidence: Evidence, damping: Array) -> Array:
@@ -312,11 +320,14 @@ def _descended(problem: _Problem, start: Pose) -> Pose:
     def step(now: _Steps) -> _Steps:
         there, first = _slopes(problem, now.tried), now.made == 0
         # Where costs differ by rounding alone, the step still says where the minimum is.
-        lower = first | (there.cost <= now.slopes.cost * (1 + 10 * precision))
+        lower = first | (there.cost <= now.slopes.cost * (1 + ALIKE * jnp.sqrt(precision)))
         best, slopes = tree_where(lower, (now.tried, there), (now.best, now.slopes))
         damping = now.damping * jnp.where(first, 1.0, jnp.where(lower, EASED, RAISED))
-        move, _ = _step(problem, slopes, damping)
-        short = jnp.max(jnp.abs(move)) < SHORT * jnp.sqrt(precision)
+        damping = jnp.maximum(damping, LEAST_DAMPING)
+        move = _step(problem, slopes, damping)
+        # Damping may be what makes it short.
+        short = damping <= DAMPING
+        short &= jnp.max(jnp.abs(move)) < SHORT * jnp.sqrt(precision)
         short &= jnp.abs(jnp.vdot(slopes.gradient, move)) < precision * (LITTLE + slopes.cost)
         return _Steps(now.made + 1, best, slopes, retract(best, move), damping, short)
 
