@@ -116,14 +116,7 @@ def _forest(nodes: JsonPart) -> tuple[list[list[int]], dict[int, int]]:
 
 @dataclass(frozen=True)
 class _Curve:
-    """One animated property of one node.
-
-    Attributes:
-        times: (K,) of its keys, seconds.
-        output: index of the accessor of its values.
-        is_step: whether a value holds until the next key, instead of leading to it.
-        part: where it stands.
-    """
+    """One animated property of one node: times (K,) of keys, seconds, and its values' accessor."""
 
     times: np.ndarray
     output: int

@@ -92,13 +92,9 @@ def read_sections(path: str | Path) -> dict[str, Any]:
 def camera_of(
     path: str | Path, sections: Mapping[str, Any], name: str, origin_world: np.ndarray | None = None
 ) -> Camera:
-    """The camera of one section; the others need not be complete, nor placed.
+    """The camera of one of ``read_sections``; the others need not be complete, nor placed.
 
-    Args:
-        path: of the file.
-        sections: of ``read_sections``.
-        name: of the section.
-        origin_world: (3,) metres, subtracted from the camera's position; None: zero.
+    ``origin_world`` (3,), metres, is subtracted from the camera's position.
 
     Raises:
         InputError: no such section, or a field of it that is missing or does not fit.

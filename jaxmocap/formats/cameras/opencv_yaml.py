@@ -49,15 +49,9 @@ def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
 def camera_table(
     path: Path, entries: dict[str, Any], names: Mapping[str, Sequence[str]]
 ) -> dict[str, Any]:
-    """The fields of a camera that a file has.
+    """The fields of a camera that ``read_entries`` has; InputError for an incomplete matrix.
 
-    Args:
-        path: of the file, for messages.
-        entries: as ``read_entries`` has them.
-        names: field -> what the file calls it, the first that is there; of the size both sides'.
-
-    Raises:
-        InputError: a matrix that is not complete.
+    Of each field's names the first that is there counts; of the size both sides' are needed.
     """
     table = {}
     for field, keys in names.items():
