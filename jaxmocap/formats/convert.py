@@ -92,14 +92,9 @@ class _Conversion:
 def convert_file(
     source: str | Path, target: str | Path, options: ConversionOptions | None = None
 ) -> list[str]:
-    """Make one file into another, by their suffixes.
+    """Make one file into another, by their suffixes; sentences on what was left out or put in.
 
-    Returns:
-        Sentences: what the target cannot hold, and what was put in that the source does not say.
-
-    Raises:
-        InputError: an unknown suffix, a source that cannot be used, or a target that cannot hold
-            what it should.
+    InputError for an unknown suffix, a source that cannot be used, or a target that cannot hold it.
     """
     conversion = _Conversion(Path(source), Path(target), options or ConversionOptions())
     options = conversion.options

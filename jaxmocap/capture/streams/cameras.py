@@ -165,10 +165,8 @@ def paced_frames(video: Video, colour: bool, stop: Event) -> Images:
 def stream_frames(url: str, colour: bool, max_pixels: int) -> Images:
     """Frames of at most so many pixels of a network stream, as they come, until it ends.
 
-    A process of its own decodes them, within limits of memory and time.
-
-    Raises:
-        InputError: it cannot be had, has no video that is decoded, or its process has ended.
+    A process of its own decodes them, within limits of memory and time. InputError where it cannot
+    be had, has no video that is decoded, or its process has ended.
     """
     script = [sys.executable, "-I", decoding.__file__]
     command = [*script, url, "colour" if colour else "grey", str(max_pixels)]

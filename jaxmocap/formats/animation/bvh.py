@@ -257,9 +257,7 @@ def _header_number(
 def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
     """Write an armature whose poses are all known, in the axes of the file: Y up.
 
-    Raises:
-        InputError: times that are not evenly spaced.
-        BeyondFormatError: joints too deep below one another, or a rate that no file has.
+    InputError for uneven times; BeyondFormatError for joints too deep, or a rate of no file.
     """
     rate = even_rate(path, armature.times)
     if not SHORTEST_STEP_S <= 1 / rate <= LONGEST_STEP_S:

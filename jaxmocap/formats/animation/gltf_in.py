@@ -35,12 +35,7 @@ _NUMBERS_PER_KEY = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
 
 
 def read_gltf(path: str | Path) -> Armature:
-    """Read the skeleton and the first animation.
-
-    Raises:
-        InputError: not such a file, no animation or several skeletons, or joints that grow or
-            slide, which an armature does not hold.
-    """
+    """Read the skeleton and the first animation; InputError for what an armature does not hold."""
     document, content = read_document(path)
     nodes = document["nodes"]
     if not document.get("animations", []).items():

@@ -28,11 +28,7 @@ _MATRIX = ("rows", "cols", "sizes", "dt", "data")
 
 
 def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
-    """Read a camera: name -> size, matrix, distortions, and the place where the file has it.
-
-    Raises:
-        InputError: no such file, not of this kind, or a matrix whose numbers do not fit.
-    """
+    """A camera by its name: size, matrix, distortions, place if it has one; InputError for none."""
     path = Path(path)
     entries = read_entries(path)
     # As OpenCV's calibration sample and ROS say so.

@@ -72,12 +72,7 @@ class _Content(NamedTuple):
 
 
 def read_c3d(path: str | Path) -> Markers:
-    """Read the points of a C3D file, with their residuals.
-
-    Raises:
-        InputError: no such file, not C3D or cut off, without points, of an unknown unit, or
-            without a rate.
-    """
+    """Read the points of a C3D file, with their residuals; InputError for a damaged file."""
     declared = _declared_frames(path)
     file = _read(path)
     if not file.residuals.size:
