@@ -99,7 +99,7 @@ def write_table(path: Path, times: np.ndarray, names: Sequence[str], table: Rows
 
 
 def read_mot(path: str | Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Times (T,), seconds, and columns (T,) by name: radians; of ``_tx``, ``_ty``, ``_tz`` metres."""
+    """Times (T,), seconds, and columns (T,): radians; metres of ``_tx``, ``_ty``, ``_tz``."""
     lines = numbered_lines(path)
     header, end = _header(path, lines)
     names = next(lines, (0, ""))[1].split()
