@@ -102,11 +102,9 @@ def piped_image(frame: VideoFrame, luma: bool) -> tuple[int, np.ndarray]:
 
 
 def stream_images(url: str, luma: bool, max_pixels: int) -> Iterator[tuple[int, np.ndarray]]:
-    """``piped_image`` of frames of at most so many pixels of a network stream, until it ends.
+    """``piped_image`` of a network stream's frames of so many pixels at most, until it ends.
 
-    Raises:
-        ValueError: it has no video, or none that is decoded.
-        OSError: it cannot be had.
+    ValueError where it has no video that is decoded, OSError where it cannot be had.
     """
     options = LOW_LATENCY_OPTIONS | decoder_options(max_pixels)
     options |= {"format_whitelist": STREAM_FORMATS, "protocol_whitelist": STREAM_PROTOCOLS}

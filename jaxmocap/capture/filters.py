@@ -79,14 +79,9 @@ class Cleaning:
 
 
 def filter_markers(recording: Recording, causal: bool = False) -> tuple[Recording, Cleaning]:
-    """Send a recording's markers through its filters.
+    """Send a recording's markers through its filters: One Euro where ``causal``, else the others.
 
-    Args:
-        recording: with its filters.
-        causal: use no later sample: of the filters One Euro only, which is not used otherwise.
-
-    Raises:
-        InputError: a cut-off that the markers' rate cannot hold.
+    InputError for a cut-off that the markers' rate cannot hold.
     """
     filters, times, positions = recording.filters, recording.times, recording.positions_world
     none = np.zeros(positions.shape[:2], bool)
@@ -204,13 +199,9 @@ def _slope(times: np.ndarray, path: np.ndarray, rows: np.ndarray, at: int) -> np
 
 
 def butterworth_low_pass(times: np.ndarray, positions: np.ndarray, cutoff: float) -> np.ndarray:
-    """Butterworth's filter forward and backward: no delay, half the power passes at the cut-off.
+    """Butterworth's filter forward and backward: no delay, half the power at the cut-off, Hz.
 
-    Args:
-        times: (T,) seconds, evenly spaced but for gaps.
-        positions: (T, M, 3) metres, or (T, M, N) of anything; NaN where missing, and between gaps
-            each run by itself.
-        cutoff: Hz.
+    Of (T, M, N) positions at even times (T,), seconds, each run between gaps goes by itself.
     """
     # Half a second of imports, and few recordings ask for it.
     from scipy.signal import butter, sosfiltfilt

@@ -20,9 +20,8 @@ from jaxmocap.images.foreground import shrink, shrunk_size
 def open_footage(recording: Recording) -> tuple[list[FrameSource], tuple[str, ...]]:
     """Every video of a recording, and warnings about the recording.
 
-    Raises:
-        InputError: what is not a video, does not fit its calibration, or shares no time with the
-            markers; or a recording that cannot be what its file says (see ``capture.checks``).
+    InputError for what is not a video, does not fit its calibration, or shares no time with the
+    markers; or a recording that cannot be what its file says (see ``capture.checks``).
     """
     videos, warnings = open_unchecked(recording)
     where = recording.path or recording.name

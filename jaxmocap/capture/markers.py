@@ -22,21 +22,15 @@ def median_interval(times: np.ndarray) -> float:
 def interpolate_markers(
     times: np.ndarray, positions: np.ndarray, at: np.ndarray, causal: bool = False
 ) -> np.ndarray:
-    """Linear in time between neighbouring samples; at a sample's own time that sample.
+    """Linear in time between samples (T, M, 3), metres; at a sample's own time that sample.
 
     Unknown, and NaN, where either neighbour is missing, where the neighbours lie further apart
     than three median intervals or than a marker can go meanwhile, and further than half an
     interval outside the samples. With ``causal`` the line goes through the newest two samples that
     are not later and is followed for one interval at most.
 
-    Args:
-        times: (T,) seconds, ascending.
-        positions: (T, M, 3) metres.
-        at: (K,) seconds, in any order.
-        causal: use no sample later than each time.
-
     Returns:
-        (K, M, 3) metres.
+        (K, M, 3) metres at (K,) times, seconds, in any order.
     """
     times, positions, at = (np.asarray(a, float) for a in (times, positions, at))
     newest = np.searchsorted(times, at, side="right") - 1

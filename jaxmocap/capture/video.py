@@ -59,14 +59,9 @@ class FrameSource(ABC):
 
     @abstractmethod
     def frames(self, luma: bool = False) -> Iterator[TimedImage]:
-        """Go through all F frames.
+        """Go through all F frames: time, and an image (H, W, 3) BGR or grey (H, W), uint8.
 
-        Args:
-            luma: grey images instead of colour.
-
-        Yields:
-            Time, and an image (H, W, 3) BGR uint8 or with ``luma`` (H, W) uint8; None where the
-            frame cannot be decoded.
+        None in place of an image that cannot be decoded.
         """
 
     def __iter__(self) -> Iterator[TimedImage]:

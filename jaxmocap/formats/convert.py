@@ -9,8 +9,10 @@ rotated; joints made from them are Z up, as ``joints.trc`` is. With ``up = "y"``
 becomes Y up. OpenSim's coordinates are Y up always.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -45,6 +47,7 @@ from jaxmocap.formats.time_series.resampling import (
 from jaxmocap.formats.time_series.tables import Markers
 from jaxmocap.formats.time_series.trc import write_trc
 
+T = TypeVar("T", Markers, Armature, Motion)
 MARKER_SUFFIXES = (".c3d", ".trc", ".csv")
 MOTION_SUFFIXES = (".npz", ".bvh", ".glb", ".mot")
 # Of a calibration that is written; its source is known by its content.
@@ -92,14 +95,9 @@ class _Conversion:
 def convert_file(
     source: str | Path, target: str | Path, options: ConversionOptions | None = None
 ) -> list[str]:
-    """Make one file into another, by their suffixes.
+    """Make one file into another, by their suffixes; sentences on what was left out or put in.
 
-    Returns:
-        Sentences: what the target cannot hold, and what was put in that the source does not say.
-
-    Raises:
-        InputError: an unknown suffix, a source that cannot be used, or a target that cannot hold
-            what it should.
+    InputError for an unknown suffix, a source that cannot be used, or a target that cannot hold it.
     """
     conversion = _Conversion(Path(source), Path(target), options or ConversionOptions())
     options = conversion.options
@@ -167,14 +165,21 @@ def _read_markers(conversion: _Conversion) -> Markers:
     return markers
 
 
+def _at_rate(
+    conversion: _Conversion, samples: T, columns: int, resampled: Callable[[T, np.ndarray], T]
+) -> T:
+    """The same at the rate that is asked for; each sample has so many numbers."""
+    if (rate := conversion.options.rate) is None:
+        return samples
+    return resampled(samples, even_times(samples.times, rate, columns, conversion.source))
+
+
 def _write_markers(conversion: _Conversion, markers: Markers) -> None:
     kind = conversion.target.suffix.lower()
     if conversion.options.up == Y_UP:
         markers = from_world(markers, Y_UP)
-    if conversion.options.rate is not None:
-        columns = (3 if markers.orientations is None else 12) * len(markers.names)
-        times = even_times(markers.times, conversion.options.rate, columns, conversion.source)
-        markers = resampled_markers(markers, times)
+    columns = (3 if markers.orientations is None else 12) * len(markers.names)
+    markers = _at_rate(conversion, markers, columns, resampled_markers)
     if markers.orientations is not None and kind != ".csv":
         conversion.warnings.append(
             f"left out: the markers' orientations, which {kind} does not hold"
@@ -240,10 +245,7 @@ def _write_armature(conversion: _Conversion, motion: Motion | Armature) -> None:
         armature = armature_of(motion, names or DEFAULT_CONVENTION[kind])
     else:
         armature = replace(motion, names=_joint_names(conversion, motion.names))
-    if conversion.options.rate is not None:
-        columns = 9 * len(armature.names)
-        times = even_times(armature.times, conversion.options.rate, columns, conversion.source)
-        armature = resampled_armature(armature, times)
+    armature = _at_rate(conversion, armature, 9 * len(armature.names), resampled_armature)
     armature = rotated_armature(armature, R_FILE_WORLD)
     if kind == ".glb":
         write_gltf(conversion.target, armature)
@@ -270,10 +272,7 @@ def _write_motion(conversion: _Conversion, motion: Motion | Armature) -> None:
         if kind == ".npz":
             made_up = "added: masses, girths and limits of a person with bones as long"
             conversion.warnings.append(made_up)
-    if conversion.options.rate is not None:
-        columns = 9 * len(motion.skeleton.tree.bones)
-        times = even_times(motion.times, conversion.options.rate, columns, conversion.source)
-        motion = resampled_motion(motion, times)
+    motion = _at_rate(conversion, motion, 9 * len(motion.skeleton.tree.bones), resampled_motion)
     if kind == ".npz":
         save_motion(conversion.target, motion)
     elif conversion.options.names == OPENSIM:

@@ -107,12 +107,7 @@ def save_motion(path: str | Path, motion: Motion) -> None:
 
 
 def load_motion(path: str | Path) -> Motion:
-    """Read a motion.
-
-    Raises:
-        InputError: no such file, not a motion, or one that contradicts itself: every array is
-            checked.
-    """
+    """Read a motion, every array checked; InputError for none, or one that contradicts itself."""
     file = NpzArrays(path)
     if "version" not in file.names:
         raise InputError(path, f"version: found none, expected {VERSION}")

@@ -1,6 +1,5 @@
 """NPZ files of others: refused in one sentence, before anything is allocated."""
 
-import io
 import json
 import struct
 import zipfile
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import measured_complaint, problem_of
+from hostile_archives import npy
 from moving_body import SAMPLES, moving_body
 from rigged_people import rigged
 
@@ -42,12 +42,6 @@ def changed(folder: Path, arrays: dict[str, np.ndarray], **change) -> Path:
     actual = arrays | {name.replace("__", "."): array for name, array in change.items()}
     np.savez(path, **{name: a for name, a in actual.items() if a is not None})  # type: ignore[arg-type]
     return path
-
-
-def npy(array: np.ndarray, **options) -> bytes:
-    file = io.BytesIO()
-    np.lib.format.write_array(file, array, **options)
-    return file.getvalue()
 
 
 def zipped(path: Path, *members: tuple[str, bytes], how: int = zipfile.ZIP_DEFLATED) -> Path:
@@ -101,7 +95,7 @@ def test_an_array_that_is_there_twice_is_refused(tmp_path):
 
 
 def test_pickles_are_refused_and_never_run(tmp_path):
-    objects = npy(np.array([Path()], object), allow_pickle=True)
+    objects = npy(np.array([Path()], object))
     path = zipped(tmp_path / "a.npz", ("version.npy", objects))
     assert complaint(path) == "version: found Python objects, expected whole numbers"
 

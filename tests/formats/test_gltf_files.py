@@ -1,7 +1,6 @@
 """Binary glTF files of others: refused in one sentence, in bounded time and memory."""
 
 import json
-import struct
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import measured_complaint, problem_of
+from hostile_archives import glb_of
 
 from jaxmocap.formats.animation.gltf_in import read_gltf
 
@@ -51,9 +51,7 @@ def document() -> dict[str, Any]:
 def written(path: Path, content: Any, block: bytes = KEYS.tobytes() + TURNS.tobytes()) -> Path:
     """A .glb file of a document, or of the text of one."""
     text = content if isinstance(content, bytes) else json.dumps(content).encode()
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text
-    chunks += struct.pack("<I4s", len(block), b"BIN\0") + block
-    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+    path.write_bytes(glb_of(text, block))
     return path
 
 

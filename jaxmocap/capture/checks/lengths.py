@@ -37,15 +37,7 @@ MEASURE = "measure them (`jaxmocap scale`), or check [subject] and [markers.on]"
 
 
 class _Pair(NamedTuple):
-    """Two markers.
-
-    Attributes:
-        names: of them.
-        bones: between them.
-        reach: the farthest they can be apart, metres.
-        is_rigid: whether they always are.
-        distances: (T,) metres; NaN where one is missing.
-    """
+    """Two markers, ``reach`` apart at most or, rigid, always; distances (T,), metres, or NaN."""
 
     names: tuple[str, str]
     bones: list[str]

@@ -165,11 +165,11 @@ def paced_frames(video: Video, colour: bool, stop: Event) -> Images:
 def stream_frames(url: str, colour: bool, max_pixels: int) -> Images:
     """Frames of at most so many pixels of a network stream, as they come, until it ends.
 
-    A process of its own decodes them, within limits of memory and time.
-
-    Raises:
-        InputError: it cannot be had, has no video that is decoded, or its process has ended.
+    A process of its own decodes them, within limits of memory and time. InputError where it cannot
+    be had, has no video that is decoded, or its process has ended.
     """
+    import cv2
+
     script = [sys.executable, "-I", decoding.__file__]
     command = [*script, url, "colour" if colour else "grey", str(max_pixels)]
     # Each further thread of its libraries would take addresses.
@@ -195,17 +195,12 @@ def stream_frames(url: str, colour: bool, max_pixels: int) -> Images:
                 content = process.stdout.read(math.prod(shape))
                 if len(content) < math.prod(shape):
                     break
-                yield _converted(np.frombuffer(content, np.uint8).reshape(shape), layout)
+                image = np.frombuffer(content, np.uint8).reshape(shape)
+                has_planes = layout == decoding.PLANES
+                yield cv2.cvtColor(image, cv2.COLOR_YUV2BGR_I420) if has_planes else image
             raise InputError(short_repr(url), "the process that decodes it has ended")
         finally:
             process.kill()
-
-
-def _converted(image: np.ndarray, layout: int) -> np.ndarray:
-    """Grey or BGR, of an image in any of the layouts."""
-    import cv2
-
-    return cv2.cvtColor(image, cv2.COLOR_YUV2BGR_I420) if layout == decoding.PLANES else image
 
 
 def _widen(pipe: IO[bytes]) -> None:

@@ -89,14 +89,9 @@ class SampleAssembler:
     def add(
         self, messages: Iterable[MarkerMessage], time: float, arrived: float, is_complete: bool
     ) -> None:
-        """Take what one packet brought.
+        """Take what one packet brought, by when it was sent and when it came in, seconds.
 
-        Args:
-            messages: its markers.
-            time: seconds, when it was sent.
-            arrived: seconds, when it came in.
-            is_complete: whether nothing else belongs to it; then an orientation of an earlier
-                packet does not count either.
+        Where it ``is_complete``, nothing else belongs to it, no earlier orientation either.
         """
         found = [(each, self._marker(each)) for each in messages]
         if self._messages and (is_complete or time - self._time > TOGETHER_S):

@@ -42,14 +42,7 @@ HEADSETS = {"Hmd", "head"}
 
 
 class Datagram(NamedTuple):
-    """What came in.
-
-    Attributes:
-        arrived: when it was fetched, seconds.
-        content: of it.
-        host: number of the machine that it says it comes from.
-        port: there.
-    """
+    """What was fetched when, seconds, and the host's number and port that it says it is from."""
 
     arrived: float
     content: bytes

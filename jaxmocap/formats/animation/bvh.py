@@ -255,16 +255,11 @@ def _header_number(
 
 
 def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
-    """Write an armature whose axes are those of the file: Y up (``axes.R_WORLD_OF_UP``).
+    """Write an armature whose poses are all known, in the axes of the file: Y up.
 
-    Raises:
-        InputError: times that are not evenly spaced, or a pose that is unknown: BVH holds neither.
-        BeyondFormatError: joints too deep below one another, or a rate that no file has.
+    InputError for uneven times; BeyondFormatError for joints too deep, or a rate of no file.
     """
     rate = even_rate(path, armature.times)
-    if not armature.is_valid.all():
-        missing = int((~armature.is_valid).sum())
-        raise InputError(path, f"{missing} samples have no pose, BVH needs one for every frame")
     if not SHORTEST_STEP_S <= 1 / rate <= LONGEST_STEP_S:
         raise BeyondFormatError(path, f"BVH holds no {rate:g} frames per second")
     scale = 1 / UNITS[unit]

@@ -45,17 +45,9 @@ def write_animation(
 ) -> str | None:
     """Write a motion to a .bvh or .glb file, by its suffix; joints have the format's usual names.
 
-    Args:
-        path: of the file.
-        motion: of a body.
-        surface: of that body, a .glb file's skin; the limbs' solids without one.
-        texture: the surface's colours, as for ``surface_skin``.
-
-    Returns:
-        A sentence where the format cannot hold the motion and nothing is written, else None.
-
-    Raises:
-        InputError: every sample's pose is missing.
+    A .glb file's skin is the body's ``surface``, with ``surface_skin``'s texture; the limbs' solids
+    without one. Returns a sentence where the format cannot hold the motion and nothing is written,
+    else None. InputError where every sample's pose is missing.
     """
     kind = Path(path).suffix
     armature = rotated_armature(armature_of(motion, DEFAULT_CONVENTION[kind]), R_FILE_WORLD)

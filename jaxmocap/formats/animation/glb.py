@@ -55,13 +55,9 @@ class BinaryChunk:
         bounded: bool = False,
         target: int | None = None,
     ) -> int:
-        """Append (N, ...) numbers; the index of their accessor.
+        """Append (N, ...) scalars, vectors or (4, 4) matrices; the index of their accessor.
 
-        Args:
-            array: scalars, vectors or (4, 4) matrices, rows before columns.
-            dtype: in which they are stored.
-            bounded: say their smallest and largest, as positions and times must.
-            target: glTF's number for what they are to a mesh: its vertices or its triangles.
+        Positions and times must be ``bounded``; ``target`` is glTF's for vertices or triangles.
         """
         # Matrices are stored column by column.
         stored = np.asarray(array, np.dtype(dtype))

@@ -36,13 +36,9 @@ _ELEMENT_ARRAY_BUFFER = 34963
 def write_gltf(
     path: str | Path, armature: Armature, mesh: SkinnedMesh | None = None, still: bool = False
 ) -> None:
-    """Write an armature as a .glb file.
+    """Write an armature and the mesh that it carries (its limbs by default) as a .glb file.
 
-    Args:
-        path: of the file.
-        armature: its joints.
-        mesh: that they carry; the limbs by default.
-        still: without an animation, as the body stands in the first sample.
+    ``still`` is without an animation, as the body stands in the first sample.
 
     Raises:
         InputError: every sample's pose is missing.

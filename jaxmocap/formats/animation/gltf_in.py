@@ -35,12 +35,7 @@ _NUMBERS_PER_KEY = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
 
 
 def read_gltf(path: str | Path) -> Armature:
-    """Read the skeleton and the first animation.
-
-    Raises:
-        InputError: not such a file, no animation or several skeletons, or joints that grow or
-            slide, which an armature does not hold.
-    """
+    """Read the skeleton and the first animation; InputError for what an armature does not hold."""
     document, content = read_document(path)
     nodes = document["nodes"]
     if not document.get("animations", []).items():
@@ -116,14 +111,7 @@ def _forest(nodes: JsonPart) -> tuple[list[list[int]], dict[int, int]]:
 
 @dataclass(frozen=True)
 class _Curve:
-    """One animated property of one node.
-
-    Attributes:
-        times: (K,) of its keys, seconds.
-        output: index of the accessor of its values.
-        is_step: whether a value holds until the next key, instead of leading to it.
-        part: where it stands.
-    """
+    """One animated property of one node: times (K,) of keys, seconds, and its values' accessor."""
 
     times: np.ndarray
     output: int

@@ -118,17 +118,11 @@ def rest_orientations(skeleton: Skeleton) -> np.ndarray:
 
 
 def motion_of(armature: Armature, path: str | Path) -> Motion:
-    """The motion of our skeleton that an armature in the world's axes shows.
+    """The motion of our skeleton that an armature, in the world's axes and our T at rest, shows.
 
     Masses, diameters, limits and costs are those of a person with bones as long on the whole. Where
-    the neck turns, a forearm twists or a wrist bends, it is a body with wrists.
-
-    Args:
-        armature: its joints named by one of the ``CONVENTIONS``, its rest pose our T.
-        path: the file it came from, for messages.
-
-    Raises:
-        InputError: joints that are not ours, lie elsewhere, or turn as ours cannot.
+    the neck turns, a forearm twists or a wrist bends, it is a body with wrists. InputError, about
+    ``path``, for joints that are not ours, lie elsewhere, or turn as ours cannot.
     """
     to_ours = names_to_ours(armature.names)
     if to_ours is None:

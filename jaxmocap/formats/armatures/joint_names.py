@@ -88,10 +88,7 @@ def landmark_names(convention: str | None) -> dict[str, str]:
 
 
 def names_to_ours(names: tuple[str, ...]) -> Mapping[str, str] | None:
-    """Their name -> ours, where joints are named by one of the conventions; else None.
-
-    Ends may be missing: formats do not always hold them.
-    """
+    """Their name -> ours by one of the conventions, in which ends may be missing; else None."""
     for convention in CONVENTIONS.values():
         inner = {theirs for ours, theirs in convention.items() if not ours.endswith("_end")}
         if inner <= set(names):

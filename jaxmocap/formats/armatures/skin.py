@@ -100,14 +100,9 @@ def surface_skin(
     R_file_world: np.ndarray,
     texture: bytes | None = None,
 ) -> SkinnedMesh:
-    """The surface on the joints of ``armature_of``.
+    """A skeleton's surface on the joints of ``armature_of``, in a file's axes.
 
-    Args:
-        path: the file to write, for messages.
-        skeleton: which the surface is around.
-        surface: of the body.
-        R_file_world: (3, 3) the file's axes.
-        texture: a PNG file's content, laid out by ``atlas_of`` with texels of ``TEXEL_M``.
+    ``texture`` is a PNG file's content, laid out by ``atlas_of`` with texels of ``TEXEL_M``.
 
     Raises:
         InputError: bones disagree where a node is at rest, more than four carry it, or the picture

@@ -130,11 +130,7 @@ class _Unpickler(pickle._Unpickler):
 
 
 def read_plain_pickle(path: Path, content: bytes) -> Any:
-    """What a pickle holds; an array within a dict is an array, deeper ones are as they come.
-
-    Raises:
-        InputError: too large, cut off, or with anything but plain values and arrays of numbers.
-    """
+    """What a pickle holds, arrays within a dict as arrays; InputError for anything not plain."""
     if len(content) > MAX_PICKLE_BYTES:
         most = f"{MAX_PICKLE_BYTES / 2**20:g} MB"
         raise InputError(path, f"found {len(content)} bytes of a pickle, expected at most {most}")

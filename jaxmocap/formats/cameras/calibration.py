@@ -71,11 +71,7 @@ class Intrinsics:
 
 
 def read_calibration(path: str | Path) -> dict[str, Camera]:
-    """Read every camera of a calibration file.
-
-    Raises:
-        InputError: no such file, no camera in it, or a field that is missing or does not fit.
-    """
+    """Read every camera of a calibration file; InputError for none, or one that does not fit."""
     sections = read_sections(path)
     return {name: camera_of(path, sections, name) for name in sections}
 
@@ -92,13 +88,9 @@ def read_sections(path: str | Path) -> dict[str, Any]:
 def camera_of(
     path: str | Path, sections: Mapping[str, Any], name: str, origin_world: np.ndarray | None = None
 ) -> Camera:
-    """The camera of one section; the others need not be complete, nor placed.
+    """The camera of one of ``read_sections``; the others need not be complete, nor placed.
 
-    Args:
-        path: of the file.
-        sections: of ``read_sections``.
-        name: of the section.
-        origin_world: (3,) metres, subtracted from the camera's position; None: zero.
+    ``origin_world`` (3,), metres, is subtracted from the camera's position.
 
     Raises:
         InputError: no such section, or a field of it that is missing or does not fit.
@@ -115,11 +107,7 @@ def camera_of(
 
 
 def read_intrinsics(path: str | Path, name: str) -> Intrinsics:
-    """Read the intrinsics of one camera, which need not have been placed yet.
-
-    Raises:
-        InputError: as above; in an OpenCV file, which holds one camera, the name is not asked for.
-    """
+    """A camera's intrinsics, placed or not; in an OpenCV file, which holds one, of any name."""
     path = Path(path)
     sections = _sections(path)
     if path.suffix.lower() in YAML_SUFFIXES:
@@ -144,18 +132,9 @@ def pick_camera(path: str | Path, cameras: Mapping[str, _Section], name: str) ->
 def read_place(
     fields: TomlTable, unit: str = "metres", farthest: float = FARTHEST_M
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where a camera's section places it.
+    """R_cam_world (3, 3), exactly a rotation, and translation (3,), world to camera, of a section.
 
-    Args:
-        fields: of the section.
-        unit: of its translation, for messages.
-        farthest: of the translation's numbers, in that unit.
-
-    Returns:
-        R_cam_world (3, 3), exactly a rotation, and the translation (3,), world to camera, as it is.
-
-    Raises:
-        InputError: a field is missing, or is no rotation or translation.
+    InputError where a field is missing, no rotation or translation, or beyond ``farthest`` units.
     """
     for key in ("rotation", "translation"):
         if key not in fields:
@@ -229,17 +208,10 @@ def write_sections(path: str | Path, sections: Mapping[str, Mapping[str, Any]]) 
 
 
 def write_camera(path: str | Path, name: str, entries: Mapping[str, Any]) -> None:
-    """Add one camera's section to a calibration file, or replace these entries of it.
+    """Add one camera's section to a .toml file, or replace these entries of it, or make the file.
 
-    All else in the file stays as it is: other sections, unknown keys, comments.
-
-    Args:
-        path: of the .toml file; it is made where there is none.
-        name: of the section.
-        entries: such as ``Intrinsics.entries()``, or rotation and translation.
-
-    Raises:
-        InputError: the file is there and no TOML, or the name is not a camera's.
+    All else in the file stays as it is: other sections, unknown keys, comments. InputError where it
+    is there and no TOML, or the name is not a camera's.
     """
     path = Path(path)
     check_camera_writable(path, name)

@@ -28,11 +28,7 @@ _MATRIX = ("rows", "cols", "sizes", "dt", "data")
 
 
 def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
-    """Read a camera: name -> size, matrix, distortions, and the place where the file has it.
-
-    Raises:
-        InputError: no such file, not of this kind, or a matrix whose numbers do not fit.
-    """
+    """A camera by its name: size, matrix, distortions, place if it has one; InputError for none."""
     path = Path(path)
     entries = read_entries(path)
     # As OpenCV's calibration sample and ROS say so.
@@ -49,15 +45,9 @@ def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
 def camera_table(
     path: Path, entries: dict[str, Any], names: Mapping[str, Sequence[str]]
 ) -> dict[str, Any]:
-    """The fields of a camera that a file has.
+    """The fields of a camera that ``read_entries`` has; InputError for an incomplete matrix.
 
-    Args:
-        path: of the file, for messages.
-        entries: as ``read_entries`` has them.
-        names: field -> what the file calls it, the first that is there; of the size both sides'.
-
-    Raises:
-        InputError: a matrix that is not complete.
+    Of each field's names the first that is there counts; of the size both sides' are needed.
     """
     table = {}
     for field, keys in names.items():

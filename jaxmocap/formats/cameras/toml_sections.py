@@ -15,13 +15,9 @@ _HEADER = re.compile(r"\s*\[.*\]\s*(#.*)?")
 
 
 def replace_entries(text: str, section: str | Sequence[str], entries: Mapping[str, Any]) -> str:
-    """Put entries into ``[section]``; its other keys, and all other sections, stay as they are.
+    """Put entries into ``[section]``, by its name or names from the top; all else stays as it is.
 
-    Args:
-        text: of a TOML file, valid.
-        section: name of a table, or its names from the top down; it is added at the end where
-            there is none.
-        entries: key -> text, number, boolean, list or table.
+    It is added at the end of the text, which is valid, where there is none.
 
     Raises:
         ValueError: the section is not written as a ``[section]`` of its own.
@@ -50,12 +46,7 @@ def replace_entries(text: str, section: str | Sequence[str], entries: Mapping[st
 def replace_entries_of_each(
     text: str, array: str, entries: Callable[[Mapping[str, Any]], Mapping[str, Any]]
 ) -> str:
-    """Put entries into every ``[[array]]``; their other keys and all else stay as they are.
-
-    Args:
-        text: of a TOML file, valid.
-        array: name of a top-level array of tables.
-        entries: of a table, by what it holds.
+    """Put what ``entries`` makes of each table into every ``[[array]]``; all else stays as it is.
 
     Raises:
         ValueError: an entry of the array is not written as an ``[[array]]`` of its own.

@@ -90,13 +90,9 @@ def _keypoints(fields: TomlTable) -> dict[str, Any]:
 def read_video_tables(
     top: TomlTable, keys: Sequence[str], most: int, origin_world: np.ndarray | None = None
 ) -> tuple[Path | None, list[tuple[TomlTable, str, Camera]]]:
-    """The calibration file, and each video's table, name of its camera, and camera.
+    """The calibration file; of ``most`` videos at most, its table, camera's name and camera.
 
-    Args:
-        top: the whole file.
-        keys: of a table.
-        most: how many there may be.
-        origin_world: (3,) metres, subtracted from the cameras' positions; None: zero.
+    ``origin_world`` (3,), metres, is subtracted from the cameras' positions.
 
     Raises:
         InputError: a camera that is missing or does not fit, or two whose files would be called the

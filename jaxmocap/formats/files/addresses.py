@@ -89,8 +89,7 @@ def resolve_address(address: Address) -> tuple[socket.AddressFamily, Any]:
 def read_allowed_networks(fields: TomlTable, listen: Address) -> tuple[Network, ...]:
     """The networks whose packets count: ``from``, or this machine where no other is listened to.
 
-    Raises:
-        InputError: it is no list of addresses, or is missing where other machines can send.
+    InputError where it is no list of addresses, or is missing where other machines can send.
     """
     example = "['192.168.1.20'] or ['192.168.1.0/24']"
     if "from" not in fields:

@@ -112,9 +112,7 @@ class NpzArrays:
         return tuple(self._members)
 
     def read(self, stated: Mapping[str, ArraySpec]) -> dict[str, np.ndarray]:
-        """The arrays of these names: numbers as float, whole numbers as int64, texts as str.
-
-        Numbers of single precision stay so.
+        """Arrays by name: numbers as float (single stays so), whole numbers as int64, texts as str.
 
         Raises:
             InputError: one is missing, or not as stated.

@@ -16,10 +16,7 @@ MAX_SENTENCE_CHARACTERS = 500
 
 
 def printable(text: str) -> str:
-    """Text for a terminal: escapes, line ends and what else does not print stand as Python has it.
-
-    It may hold what a file or a stranger on the network calls things.
-    """
+    """Text of anybody for a terminal: what does not print stands as Python writes it."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)

@@ -65,17 +65,16 @@ class OutputFolder:
         names: Iterable[str] = (),
         inputs: Iterable[str | Path] = (),
     ):
-        """Look whether the folder can be used, before any work; nothing is made.
+        """Look whether a folder can be used, before any work; nothing is made.
 
         Args:
             directory: of the outputs.
             kind: of run.
             names: files that the run may write there; where it does not, earlier ones go.
-            inputs: files that it reads.
+            inputs: files that it reads, which the folder must not hold.
 
         Raises:
-            InputError: it cannot be written to, holds an input, or holds a file of one of the
-                names that no earlier run wrote.
+            InputError: it cannot be used, or has a file of these names that no earlier run wrote.
         """
         self.path, self.kind, self._names = Path(directory), kind, tuple(names)
         self._written: dict[str, ListedFile] = {}
@@ -225,16 +224,15 @@ def read_list(folder: Path) -> dict[str, ListedFile]:
         return {}
     try:
         files = json.loads(read_bytes(path, MAX_LIST_BYTES))["files"]
-        return {_checked_name(name): _listed_file(**files[name]) for name in files}
+        return {
+            _checked_name(name): ListedFile(str(each["kind"]), tuple(map(str, each["sha256"])))
+            for name, each in files.items()
+        }
     except InputError:
         raise
-    except (ValueError, TypeError, KeyError, RecursionError):
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         problem = "is no list of files that jaxmocap wrote, expected another folder"
         raise InputError(path, problem) from None
-
-
-def _listed_file(kind: str, sha256: list[str]) -> ListedFile:
-    return ListedFile(str(kind), tuple(map(str, sha256)))
 
 
 def _write_list(folder: Path, entries: Mapping[str, ListedFile]) -> None:

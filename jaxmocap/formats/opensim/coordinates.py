@@ -69,13 +69,9 @@ _FOOT_ROUNDS = 12
 
 
 def write_opensim(path: str | Path, motion: Motion) -> list[str]:
-    """Write the coordinates of a motion, degrees and metres.
+    """Write a motion's coordinates, degrees and metres; sentences on what was left out.
 
-    Returns:
-        Sentences on what was left out, and ``write_table``'s.
-
-    Raises:
-        InputError: no sample has a pose.
+    InputError where no sample has a pose.
     """
     is_measured = np.isfinite(np.asarray(motion.poses.quaternion, float).sum(-1))
     if not is_measured.any():

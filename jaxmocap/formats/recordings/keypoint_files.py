@@ -58,13 +58,9 @@ class KeypointFrame:
 
 
 def json_files(folder: Path) -> list[Path]:
-    """The .json files that lie in a folder itself, by name.
+    """The regular .json files in a folder itself, by name; no hidden ones of another system.
 
-    What is no regular file is not among them; nor is a name with a dot in front, another system's
-    leaving.
-
-    Raises:
-        InputError: the folder cannot be read, or holds more than any detector writes.
+    InputError where it cannot be read, or holds more than any detector writes.
     """
     files, total = [], 0
     try:

@@ -34,6 +34,9 @@ from jaxmocap.formats.time_series.tables import Markers, check_times
 from jaxmocap.geometry.cameras import on_host
 from jaxmocap.geometry.origin import local_origin
 
+# Of a recording's file.
+TABLES = ("markers", "video", "calibration", "subject")
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -122,7 +125,7 @@ def load_recording(path: str | Path) -> Recording:
             or does not fit.
     """
     path = Path(path)
-    top = TomlTable(path, "", read_toml(path), ("markers", "video", "calibration", "subject"))
+    top = TomlTable(path, "", read_toml(path), TABLES)
     skeleton, warnings = subject_or_default(top)
     if "markers" not in top and not top.entries.get("video"):
         raise top.error("", "neither [markers] nor [[video]], expected one of them")
@@ -192,8 +195,7 @@ def _at_local_origin(top: TomlTable, recording: Recording) -> Recording:
 def load_markers(path: str | Path) -> tuple[Markers, tuple[MarkerPlace, ...]]:
     """A recording file's markers as measured, in the world's axes, and their places."""
     path = Path(path)
-    keys = ("markers", "video", "calibration", "subject")
-    top, skeleton = TomlTable(path, "", read_toml(path), keys), Skeleton.human()
+    top, skeleton = TomlTable(path, "", read_toml(path), TABLES), Skeleton.human()
     markers, (_, places, _), _ = _read_placed_markers(top, skeleton)
     check_bones(path, places, skeleton)
     return markers, places
@@ -212,10 +214,8 @@ def _read_placed_markers(
     if not on.entries and "set" not in fields:
         raise on.error("", "names no marker, expected entries such as Head = { bone = 'head' }")
     sets = TomlTable(top.path, "[markers.rigid]", fields.entries.get("rigid", {}))
-    filter_table = TomlTable(
-        top.path, "[markers.filters]", fields.entries.get("filters", {}), FILTER_KEYS
-    )
-    filters = read_filters(filter_table)
+    stated = fields.entries.get("filters", {})
+    filters = read_filters(TomlTable(top.path, "[markers.filters]", stated, FILTER_KEYS))
     all_markers = read_markers(file)
     available = (*all_markers.names, *sets.entries)
     placed = placed_markers(fields, on, all_markers.names, skeleton)
@@ -226,21 +226,19 @@ def _read_placed_markers(
     for name in on.entries.keys() - set(available):
         raise on.error(name, f"no such marker in {file}, found {comma_list(available)}")
     columns = [markers.names.index(name) for name in entries]
-    orientations = None if markers.orientations is None else markers.orientations[:, columns]
+    if (orientations := markers.orientations) is not None:
+        if np.linalg.det(R_world_file) < 0:
+            problem = "found a reflection, which leaves no orientation of a marker"
+            raise fields.error("to_world", problem)
+        orientations = R_world_file @ orientations[:, columns]
     markers = replace(
         markers,
         times=markers.times.copy(),
         names=tuple(entries),
-        positions=markers.positions[:, columns],
+        positions=to_world(R_world_file, markers.positions[:, columns]),
         residuals=None,
         orientations=orientations,
     )
-    if markers.orientations is not None and np.linalg.det(R_world_file) < 0:
-        problem = "found a reflection, which leaves no orientation of a marker"
-        raise fields.error("to_world", problem)
-    orientations = None if markers.orientations is None else R_world_file @ markers.orientations
-    positions_world = to_world(R_world_file, markers.positions)
-    markers = replace(markers, positions=positions_world, orientations=orientations)
     return markers, placed, filters
 
 

@@ -50,16 +50,10 @@ def subject_or_default(top: TomlTable, wrists: bool = False) -> tuple[Skeleton, 
 
 
 def read_subject(path: Path, where: str, table: Any, wrists: bool = False) -> Skeleton:
-    """The skeleton of a [subject] table.
+    """The skeleton of a table, called ``where`` in messages, of the file that its paths start at.
 
-    Args:
-        path: the file that holds the table; paths in it are relative to it.
-        where: how to call the table in messages.
-        table: the table.
-        wrists: whether it has wrists where neither the table nor its file states it.
-
-    Raises:
-        InputError: a field that is missing, unknown or does not fit.
+    It has wrists where the table or its file states them, or by ``wrists`` where neither does.
+    InputError for a field that is missing, unknown or does not fit.
     """
     keys = ("file", "height", *_STATIC_KEYS, "proportions", "bones", "wrists")
     fields = TomlTable(path, where, table, keys)

@@ -58,12 +58,7 @@ def save_surface(path: str | Path, surface: Surface, tree: Tree) -> None:
 
 
 def load_surface(path: str | Path, tree: Tree) -> Surface:
-    """Read a surface for a body with this tree.
-
-    Raises:
-        InputError: no such file, not one of arrays, a field missing, of another shape or out of
-            its range, or a bone that the body does not have.
-    """
+    """Read a surface for a body with this tree; InputError names the array that does not fit."""
     arrays = NpzArrays(path).read(_ARRAY_SPECS)
     sizes, bones, shares = (arrays[name] for name in ("patch_sizes", "bones", "shares"))
     _check_nodes(path, sizes, bones.shape)

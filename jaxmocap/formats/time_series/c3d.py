@@ -59,18 +59,7 @@ _HEADER_BYTES = 2**17
 
 
 class _Content(NamedTuple):
-    """What ezc3d found in a file.
-
-    Attributes:
-        points: (3, M, T) in the file's unit.
-        residuals: (M, T), likewise.
-        rate: frames per second.
-        first: number of the first frame.
-        unit: as the file has it.
-        labels: of the M points, as the file has them.
-        analogs: number of analog channels.
-        events: number of events.
-    """
+    """What ezc3d found: points (3, M, T) and residuals (M, T) in the file's unit, and counts."""
 
     points: np.ndarray
     residuals: np.ndarray
@@ -83,12 +72,7 @@ class _Content(NamedTuple):
 
 
 def read_c3d(path: str | Path) -> Markers:
-    """Read the points of a C3D file, with their residuals.
-
-    Raises:
-        InputError: no such file, not C3D or cut off, without points, of an unknown unit, or
-            without a rate.
-    """
+    """Read the points of a C3D file, with their residuals; InputError for a damaged file."""
     declared = _declared_frames(path)
     file = _read(path)
     if not file.residuals.size:
@@ -114,11 +98,7 @@ def read_c3d(path: str | Path) -> Markers:
 
 
 def _read(path: str | Path) -> _Content:
-    """What ezc3d finds, in a process of its own.
-
-    It follows a damaged file's lengths wherever they lead, and may take its process along (one of
-    60 files with some bytes changed).
-    """
+    """What ezc3d finds, in a process of its own, which a damaged file may take along."""
     regular_file(path)
     script = [sys.executable, "-I", c3d_process.__file__]
     command = [*script, os.path.abspath(path), str(MAX_MEMORY_BYTES)]

@@ -99,13 +99,7 @@ def write_table(path: Path, times: np.ndarray, names: Sequence[str], table: Rows
 
 
 def read_mot(path: str | Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Times (T,) in seconds and columns (T,) by name, as they stand in the file but in radians.
-
-    Columns that end in ``_tx``, ``_ty`` or ``_tz`` are places and keep their metres.
-
-    Raises:
-        InputError: no such file, or the line that does not fit.
-    """
+    """Times (T,), seconds, and columns (T,): radians; metres of ``_tx``, ``_ty``, ``_tz``."""
     lines = numbered_lines(path)
     header, end = _header(path, lines)
     names = next(lines, (0, ""))[1].split()

@@ -41,13 +41,7 @@ MAX_INTERVALS_BRIDGED = 5
 def even_times(
     times: np.ndarray, rate: float, columns: int = 1, path: str | Path = "samples"
 ) -> np.ndarray:
-    """Evenly spaced times, seconds, from the first of (T,) to the last at most.
-
-    Args:
-        times: of the samples there are.
-        rate: samples per second.
-        columns: numbers that each sample shall have.
-        path: of the file, for messages.
+    """(N,) seconds at a rate from the first of (T,) times on; ``columns`` numbers each are wanted.
 
     Raises:
         InputError: there would be far more samples than there are, or than memory holds.

@@ -82,16 +82,9 @@ def parse_rows(
     columns: int,
     max_values: int = MAX_VALUES,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of a table; empty cells are NaN.
+    """Numbers (T, columns) of numbered rows, float64, and the T line numbers; empty cells are NaN.
 
-    Args:
-        path: for the message.
-        rows: line number and cells of each row. Cells beyond ``columns`` must be empty.
-        columns: how many cells a row has.
-        max_values: how many numbers there may be.
-
-    Returns:
-        (T, columns) float64 and the T line numbers.
+    Cells beyond ``columns`` must be empty. InputError names the line, or says what is too much.
     """
     values, numbers = array("d"), array("q")
     for line, cells in rows:
@@ -135,10 +128,7 @@ def _number(path: str | Path, line: int, cell: str) -> float:
 
 
 def declared_count(text: str) -> int | None:
-    """A count that a header states; None where that is no whole number.
-
-    One of more digits than any count has is as large as can be.
-    """
+    """A count that a header states, cut off where it is absurd; None for no whole number."""
     if not (text.isascii() and text.isdecimal()):
         return None
     return int(text) if len(text) <= _MAX_DIGITS else 10**_MAX_DIGITS
@@ -151,14 +141,9 @@ def make_markers(
     names: Sequence[str],
     name_place: str,
 ) -> Markers:
-    """Markers from a table (T, 1 + 3 M) of times and coordinates, in metres.
+    """Markers from a table (T, 1 + 3 M) of times and coordinates, metres, which becomes their own.
 
-    Args:
-        path: for the message.
-        table: see above; it becomes the markers' own.
-        lines: of the T rows; none where the file is not text.
-        names: of the M markers.
-        name_place: where in the file they stand.
+    ``lines`` are the rows' (none where the file is not text), ``name_place`` is where names stand.
 
     Raises:
         InputError: two markers of one name, a name that no terminal can show, a time that is
@@ -203,15 +188,10 @@ def check_times(
     kind: str,
     numbers: Sequence[int] | np.ndarray | None = None,
 ) -> None:
-    """InputError unless every one of (T,) times is a number and later than the one before.
+    """InputError unless each of (T,) times, seconds, is a number and later than the one before.
 
-    Nor may they follow one another faster than any device measures.
-
-    Args:
-        path: for the message.
-        times: seconds.
-        kind: what messages call a sample, such as ``line``.
-        numbers: of the T samples; None counts from 0.
+    Nor may they follow one another faster than any device measures. Messages call a sample by its
+    kind, such as ``line``, and its number, from 0 where there are no ``numbers``.
     """
 
     def label(i: int) -> str:
