@@ -204,7 +204,7 @@ def _euler(degrees: list[float]) -> tuple[float, float, float, float]:
 
 
 def unit_quaternion(numbers: Sequence[float]) -> tuple[float, float, float, float] | None:
-    """A quaternion (x, y, z, w) of length 1, or None, as of senders' zeros without orientations."""
+    """A quaternion (x, y, z, w) of length 1; None for others, such as zeros for no orientation."""
     length = math.sqrt(sum(number**2 for number in numbers))
     if not abs(length - 1) <= 0.01:
         return None

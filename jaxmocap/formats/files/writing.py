@@ -87,17 +87,15 @@ def check_target(path: str | Path, inputs: Iterable[str | Path] = ()) -> Path:
 
 def check_file_name(path: Path) -> None:
     """InputError where no file can be called so."""
+    if "\0" in str(path):
+        raise InputError(ascii(str(path)), "not a file's name, it holds a NUL")
     try:
         path.exists()
-        # A NUL is no error to ``exists`` of every Python.
-        os.fsencode(path).index(0)
+        os.fsencode(path)
     except OSError as error:
         raise InputError(path, f"cannot be written to ({error.strerror})") from None
     except UnicodeEncodeError:
         raise InputError(ascii(str(path)), "not a file's name on this system") from None
-    except ValueError:
-        return
-    raise InputError(ascii(str(path)), "not a file's name, it holds a NUL")
 
 
 def check_folder_writable(folder: Path) -> None:

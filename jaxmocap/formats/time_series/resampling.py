@@ -41,7 +41,7 @@ MAX_INTERVALS_BRIDGED = 5
 def even_times(
     times: np.ndarray, rate: float, columns: int = 1, path: str | Path = "samples"
 ) -> np.ndarray:
-    """(N,) seconds at a rate from the first of (T,) times on; ``columns`` numbers each are wanted.
+    """(N,) seconds at a rate, from the first of (T,) to the last, of samples of so many numbers.
 
     Raises:
         InputError: there would be far more samples than there are, or than memory holds.
@@ -116,7 +116,7 @@ def lerp(values: np.ndarray, at: Interpolation) -> np.ndarray:
 
 
 def slerp(R: Rows, at: Interpolation) -> np.ndarray:
-    """(N, ..., 3, 3) between rotations (T, ..., 3, 3); NaN where one is, and within gaps."""
+    """Spherical linear, (N, ..., 3, 3) of (T, ..., 3, 3); NaN where one is, and within gaps."""
     R_then = np.empty((len(at.fraction), *R.shape[1:]))
     for block, at_block in at.blocks(int(np.prod(R.shape[1:]))):
         ends = R[at_block.before], R[at_block.after]
