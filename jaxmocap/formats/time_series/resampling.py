@@ -168,17 +168,12 @@ def hold_across_gaps(armature: Armature) -> Armature:
     before = np.flatnonzero(is_gap(times))
     if not len(before) and len(valid_samples) == len(armature.times):
         return armature
-    order, later = valid_samples, times
-    if len(before):
-        # One interval before the first pose after the gap, as if a sample were there.
-        last = times[before + 1] - float(np.median(np.diff(times)))
-        order, later = (
-            np.insert(valid_samples, before + 1, valid_samples[before]),
-            np.insert(times, before + 1, last),
-        )
+    # One interval before the first pose after the gap, as if a sample were there.
+    interval = float(np.median(np.diff(times))) if len(before) else 0.0
+    order = np.insert(valid_samples, before + 1, valid_samples[before])
     return replace(
         armature,
-        times=later,
+        times=np.insert(times, before + 1, times[before + 1] - interval),
         positions=armature.positions[order],
         rotations=taken(armature.rotations, order),
     )
