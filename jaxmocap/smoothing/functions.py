@@ -48,13 +48,11 @@ from jaxmocap.solvers.optimum import LEAST_CURVATURE, following
 FEWEST_EVENTS = 3
 # Steps of the descent, at most; damping, nats per squared metre or radian, that it begins with, at
 # least, at most, and factors on it.
-STEPS, DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 60, 1e-2, 1e-3, 1e9
+STEPS, DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 60, 1e-2, 1e-7, 1e9
 EASED, RAISED = 0.1, 10.0
 # The last step lowers the cost by less than so many precisions, nats, and by less than what
 # rounding does to it; and its largest entry is less than so many roots of the precision.
 LITTLE, SHORT = 100.0, 30.0
-# Costs that differ by less, as a share, in roots of the precision, are alike: that is rounding.
-ALIKE = 0.03
 
 
 class Events(NamedTuple):
@@ -320,7 +318,7 @@ def _descended(problem: _Problem, start: Pose) -> Pose:
     def step(now: _Steps) -> _Steps:
         there, first = _slopes(problem, now.tried), now.made == 0
         # Where costs differ by rounding alone, the step still says where the minimum is.
-        lower = first | (there.cost <= now.slopes.cost * (1 + ALIKE * jnp.sqrt(precision)))
+        lower = first | (there.cost <= now.slopes.cost * (1 + 10 * precision))
         best, slopes = tree_where(lower, (now.tried, there), (now.best, now.slopes))
         damping = now.damping * jnp.where(first, 1.0, jnp.where(lower, EASED, RAISED))
         damping = jnp.maximum(damping, LEAST_DAMPING)

@@ -43,7 +43,7 @@ from jaxmocap.smoothing.settings import weighed_by_time
 COUNT = 4
 # Cells by which the second nearest limb is away where no two limbs meet, blurred as they are.
 APART = 3.0
-STEP, ROUNDS = 1e-4, 2
+STEP, ROUNDS = 1e-4, 3
 CHOSEN = Settings(smoothing=SETTINGS)
 NUMBERS = (
     "upper arm", "trunk", "camera turned", "camera moved", "focal length", "marker moved",
