@@ -59,7 +59,7 @@ def frames_of(poses: Pose, information: np.ndarray, slope: np.ndarray) -> FrameI
 def smooth(
     skeleton: Skeleton, measured: FrameInformation, rest=None, morph=None, **changed
 ) -> Pose:
-    """No joint is held at rest unless that is said."""
+    """No joint is held at rest unless that is stated."""
     times, settings = TIMES[: len(measured.slope)], PoseSmoothingSettings(**changed)
     rest = free(skeleton) if rest is None else rest
     return smoothed_poses(skeleton, times, measured, rest, settings, morph)[0]

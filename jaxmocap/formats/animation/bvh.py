@@ -255,7 +255,7 @@ def _header_number(
 
 
 def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
-    """Write an armature whose poses are all known, in the axes of the file: Y up.
+    """Write an armature whose poses are complete, in the axes of the file: Y up.
 
     InputError for uneven times; BeyondFormatError for joints too deep, or a rate of no file.
     """

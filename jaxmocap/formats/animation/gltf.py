@@ -135,7 +135,7 @@ def _animation(
 
 
 def _rotation_keys(armature: Armature, starts: dict[int, int]) -> Iterator[tuple[int, bytes]]:
-    """Keys of rotations, some samples at a time, and where each begins; all poses are known."""
+    """Keys of rotations, some samples at a time, and where each begins; all poses are complete."""
     joints = list(starts)
     before = np.zeros((1, len(joints), 4))
     for rows in armature.blocks() if joints else ():

@@ -105,7 +105,7 @@ def slice_corners(
     edges_side = [middle + s * d * ahead for s, d in zip((1, -1), deep, strict=True)]
 
     def crossing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Seen from above: where the front's line through one edge meets the side's."""
+        """From above: where the front's line through one edge meets the side's."""
         first, second = (a - front.centre)[:2], (b - side.centre)[:2]
         return a[:2] + np.linalg.solve(np.stack([first, -second], 1), (b - a)[:2])[0] * first
 

@@ -116,7 +116,7 @@ def inner_boundary(
     """Where one part of the body ends ``jump`` metres before another: colours may show it, no mask.
 
     By keys (S, S) and the nodes' depths (M,), metres. Boundaries of ``parts`` (M,) with one another
-    count alone, where there are any: where one and the same is seen at a glancing angle it recedes
+    count alone, where there are any: where one and the same lies at a glancing angle it recedes
     as fast.
     """
     there = keys != EMPTY
