@@ -7,7 +7,7 @@ gradients reach lengths, masses, diameters, costs and limits.
 A height or a mass scales it by the proportions of ``data/proportions.toml``.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -50,6 +50,18 @@ def landmark_rows(names: Iterable[str]) -> np.ndarray:
 
 
 ELBOWS = landmark_rows(("elbow_l", "elbow_r"))
+
+
+def other_side(names: Sequence[str]) -> np.ndarray:
+    """Where each name's counterpart on the body's other side is among them, (K,) int32.
+
+    A name without one, such as ``neck``, is its own.
+    """
+    ends = {"_l": "_r", "_r": "_l"}
+    others = (name[:-2] + ends.get(name[-2:], name[-2:]) for name in names)
+    return np.array(
+        [names.index(other) if other in names else i for i, other in enumerate(others)], np.int32
+    )
 
 
 def landmark_mismatches() -> np.ndarray:

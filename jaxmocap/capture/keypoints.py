@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxmocap.body.skeleton import LANDMARK_PLACES
+from jaxmocap.body.skeleton import LANDMARK_PLACES, other_side
 from jaxmocap.body.tree import Tree
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import FrameSource
@@ -74,21 +74,13 @@ def align_detections(detections: Detections, frames: int, first: int | None = No
             f"frames {first} to {first + frames - 1}; check keypoints_first",
         )
     check_keypoint_count(detections.name, frames, *detections.confidences.shape[1:])
-    pixels_xy = np.full((frames, *detections.pixels_xy.shape[1:]), np.nan)
-    confidences = np.zeros((frames, *detections.confidences.shape[1:]))
-    pixels_xy[rows[inside]] = detections.pixels_xy[inside]
-    confidences[rows[inside]] = detections.confidences[inside]
+    row_of = np.full(frames, -1)
+    row_of[rows[inside]] = np.flatnonzero(inside)
     warnings = detections.warnings
     if inside.sum() < frames:
         warning = f"key points of {inside.sum()} of the video's {frames} frames"
         warnings += (f"{detections.name}: {warning}",)
-    return replace(
-        detections,
-        numbers=np.arange(frames),
-        pixels_xy=pixels_xy,
-        confidences=confidences,
-        warnings=warnings,
-    )
+    return replace(detections.at_frames(row_of), warnings=warnings)
 
 
 def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: float) -> int:
@@ -120,9 +112,7 @@ def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: floa
     return best if np.isfinite(costs[best]) else -1
 
 
-def select_person(
-    keypoints: Detections, camera: Camera, points_world: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def select_person(keypoints: Detections, camera: Camera, points_world: np.ndarray) -> Detections:
     """The tracked person's detections among everybody's, frame by frame.
 
     Args:
@@ -132,22 +122,17 @@ def select_person(
             as far as that is predicted: NaN elsewhere.
 
     Returns:
-        (F, P, 2) pixels, NaN where missing, and (F, P) confidences, 0 where missing or where the
-        person is not among those detected.
+        Of F frames with one person each; NaN and 0 where the person is not among those detected.
     """
     depths = depth(on_host(camera), np.asarray(points_world, float))
     depths = np.where(depths > NEAREST_M, depths, np.nan)
     predicted_xy = project(on_host(camera), np.asarray(points_world, float))
     predicted_xy[np.isnan(depths)] = np.nan
-    pixels_xy = np.full(keypoints.pixels_xy[:, 0].shape, np.nan)
-    confidences = np.zeros(pixels_xy.shape[:-1])
+    chosen = np.full(len(depths), -1)
     for frame in np.flatnonzero(np.isfinite(depths).any(-1)):
         gate_px = PERSON_GATE_M * float(pixels_per_metre(camera, np.nanmedian(depths[frame])))
-        person = choose_person(keypoints.pixels_xy[frame], predicted_xy[frame], gate_px)
-        if person >= 0:
-            pixels_xy[frame] = keypoints.pixels_xy[frame, person]
-            confidences[frame] = keypoints.confidences[frame, person]
-    return pixels_xy, confidences
+        chosen[frame] = choose_person(keypoints.pixels_xy[frame], predicted_xy[frame], gate_px)
+    return keypoints.of_people(chosen)
 
 
 def follow_person(keypoints: Detections, first_xy: np.ndarray | None = None) -> Detections:
@@ -162,17 +147,16 @@ def follow_person(keypoints: Detections, first_xy: np.ndarray | None = None) -> 
         Of F frames with one person each; NaN and 0 where the person is not among those detected.
     """
     pixels_xy = np.where(keypoints.confidences[..., None] > 0, keypoints.pixels_xy, np.nan)
+    sides = other_side(keypoints.landmarks)
     if first_xy is None:
-        chosen = _largest_person(pixels_xy)
+        chosen = _largest_person(pixels_xy, sides)
     else:
-        chosen = _followed(pixels_xy, np.asarray(first_xy, float), range(len(pixels_xy)))
-    rows, is_there = np.arange(len(chosen)), chosen >= 0
-    own_xy = np.where(is_there[:, None, None], pixels_xy[rows, chosen], np.nan)
-    sure = np.where(is_there[:, None], keypoints.confidences[rows, chosen], 0.0)
-    return replace(keypoints, pixels_xy=own_xy[:, None], confidences=sure[:, None])
+        first_xy = np.asarray(first_xy, float)
+        chosen = _followed(pixels_xy, sides, first_xy, range(len(pixels_xy)))
+    return replace(keypoints, pixels_xy=pixels_xy).of_people(chosen)
 
 
-def _largest_person(pixels_xy: np.ndarray) -> np.ndarray:
+def _largest_person(pixels_xy: np.ndarray, sides: np.ndarray) -> np.ndarray:
     """(F,) whom of each frame's N people a few tries follow that begin with the largest ones."""
     sizes, best = _extents(pixels_xy), np.full(len(pixels_xy), -1)
     left, largest, rows = sizes.copy(), 0.0, np.arange(len(pixels_xy))
@@ -183,7 +167,7 @@ def _largest_person(pixels_xy: np.ndarray) -> np.ndarray:
         chosen = np.full(len(rows), -1)
         chosen[at] = who
         for order in (range(int(at) + 1, len(rows)), range(int(at) - 1, -1, -1)):
-            ahead = _followed(pixels_xy, pixels_xy[at, who], order)
+            ahead = _followed(pixels_xy, sides, pixels_xy[at, who], order)
             chosen = np.where(ahead >= 0, ahead, chosen)
         found = rows[chosen >= 0]
         total = float(sizes[found, chosen[found]].sum())
@@ -193,17 +177,25 @@ def _largest_person(pixels_xy: np.ndarray) -> np.ndarray:
     return best
 
 
-def _followed(pixels_xy: np.ndarray, last_xy: np.ndarray, order: Iterable[int]) -> np.ndarray:
-    """(F,) who of each frame's people is the one last at (P, 2), frame by frame; -1 for nobody."""
+def _followed(
+    pixels_xy: np.ndarray, sides: np.ndarray, last_xy: np.ndarray, order: Iterable[int]
+) -> np.ndarray:
+    """(F,) who of each frame's people is the one last at (P, 2), frame by frame; -1 for nobody.
+
+    Somebody whose left the detector suddenly takes for the right is still there: ``sides`` (P,) is
+    where each point's counterpart is.
+    """
     chosen = np.full(len(pixels_xy), -1)
     for frame in order:
         gate_px = STEP_SHARE * float(_extents(last_xy))
-        distances = np.linalg.norm(pixels_xy[frame] - last_xy, axis=-1)
+        people = np.concatenate([pixels_xy[frame], pixels_xy[frame][:, sides]])
+        distances = np.linalg.norm(people - last_xy, axis=-1)
         # Of somebody else who stands beside, some points may be near.
         near = (distances <= gate_px).sum(-1) >= np.isfinite(distances).sum(-1) / 2
-        among = np.where(near[:, None, None], pixels_xy[frame], np.nan)
-        chosen[frame] = choose_person(among, last_xy, gate_px)
-        if chosen[frame] >= 0:
+        among = np.where(near[:, None, None], people, np.nan)
+        found = choose_person(among, last_xy, gate_px)
+        chosen[frame] = found % len(pixels_xy[frame]) if found >= 0 else -1
+        if found >= 0:
             here = pixels_xy[frame, chosen[frame]]
             last_xy = np.where(np.isfinite(here), here, last_xy)
     return chosen

@@ -1,9 +1,11 @@
 """2-D key points as evidence: each is a line of sight that a landmark of the person lies near.
 
 Detectors mark joints where they look to be, centimetres from where they are, and now and then mark
-a wrong place, or another limb's; so a line pulls the less the further off it is (Student's t).
+a wrong place, or another limb's; so a line pulls the less the further off it is (Student's t). Some
+also estimate how far off the joints are (MediaPipe), a decimetre from where they are.
 
-INPUTS: pixels and confidences of landmarks. OUTPUTS: lines of sight; whitened residuals.
+INPUTS: pixels and confidences of landmarks; a detector's joints. OUTPUTS: lines of sight; whitened
+residuals.
 """
 
 from collections.abc import Sequence
@@ -13,12 +15,23 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.body.kinematics import landmarks as landmark_positions
 from jaxmocap.body.model import Model
-from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
+from jaxmocap.body.pose import relaxed_pose
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, landmark_rows
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.geometry.cameras import Camera, on_host, pixel_rays
+from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.solvers.robust import shortened
+
+HIPS = landmark_rows(("hip_l", "hip_r"))
+# By their lengths a detector's person is as large as ours.
+LIMBS = tuple(
+    (f"{near}_{side}", f"{far}_{side}")
+    for near, far in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+    for side in "lr"
+)
 
 
 class SightLines(NamedTuple):
@@ -28,15 +41,22 @@ class SightLines(NamedTuple):
         origin: (C, 3) the cameras' centres, world, metres.
         directions: (C, L, 3) unit vectors to the ``LANDMARKS``, world; NaN where not detected.
         confidences: (C, L) between 0 and 1; 0 where not detected.
+        depths: (C, L) metres by which a landmark lies farther off than the hips' middle, as the
+            detector has it; NaN where it does not say.
     """
 
     origin: Array | np.ndarray
     directions: Array | np.ndarray
     confidences: Array | np.ndarray
+    depths: Array | np.ndarray
 
 
 def lines_of_sight(
-    camera: Camera, landmarks: Sequence[str], pixels_xy: np.ndarray, confidences: np.ndarray
+    camera: Camera,
+    landmarks: Sequence[str],
+    pixels_xy: np.ndarray,
+    confidences: np.ndarray,
+    depths: np.ndarray | None = None,
 ) -> SightLines:
     """The lines (T, ...) through one camera's detections.
 
@@ -45,6 +65,7 @@ def lines_of_sight(
         landmarks: names of P landmarks.
         pixels_xy: (T, P, 2); NaN where missing.
         confidences: (T, P).
+        depths: (T, P) beyond the hips' middle, metres; NaN where missing, None for none.
     """
     count, columns = len(pixels_xy), landmark_rows(landmarks)
     origin = np.tile(on_host(camera).position_world, (count, 1))
@@ -52,7 +73,36 @@ def lines_of_sight(
     ways[:, columns] = pixel_rays(on_host(camera), np.asarray(pixels_xy, float))
     is_detected = np.isfinite(ways[:, columns]).all(-1)
     sure[:, columns] = np.where(is_detected, confidences, 0.0)
-    return SightLines(*(np.asarray(part, np.float32)[:, None] for part in (origin, ways, sure)))
+    beyond = np.full(sure.shape, np.nan)
+    if depths is not None:
+        beyond[:, columns] = np.where(is_detected, depths, np.nan)
+    parts = (origin, ways, sure, beyond)
+    return SightLines(*(np.asarray(part, np.float32)[:, None] for part in parts))
+
+
+def estimated_depths(
+    skeleton: Skeleton, landmarks: Sequence[str], joints_cam: np.ndarray
+) -> np.ndarray:
+    """How much farther off than the hips' middle (T, P) landmarks are, as a detector has them.
+
+    Detectors know nobody's size: theirs is changed so that the limbs are as long as the person's.
+
+    Args:
+        skeleton: of the person.
+        landmarks: names of P landmarks.
+        joints_cam: (T, P, 3) metres about the hips' middle, in the camera's axes; NaN where
+            missing.
+    """
+    rest = np.asarray(landmark_positions(skeleton, relaxed_pose(skeleton)))
+    own, theirs = 0.0, np.zeros(len(joints_cam))
+    for ends in LIMBS:
+        if set(ends) <= set(landmarks):
+            near, far = landmark_rows(ends)
+            own += float(np.linalg.norm(rest[far] - rest[near]))
+            near, far = (landmarks.index(end) for end in ends)
+            theirs += np.linalg.norm(joints_cam[:, far] - joints_cam[:, near], axis=-1)
+    size = float(np.nanmedian(theirs)) if np.isfinite(theirs).any() else 0.0
+    return joints_cam[..., 2] * (own / size if size else 1.0)
 
 
 def line_residuals(points_world: Array, lines: SightLines, deviation: Array) -> Array:
@@ -87,3 +137,23 @@ class KeyPoints(Term):
         if "sight_lines" not in measured:
             return jnp.zeros(0, body.landmarks.dtype)
         return line_residuals(body.landmarks, measured["sight_lines"], self.deviation)
+
+
+@settings
+class EstimatedDepths(Term):
+    """How far off joints are as their detector has it; measured ``sight_lines`` with depths."""
+
+    deviation: Array = traced(0.13, "of a landmark's depth beyond the hips', metres")
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(C, L); none where no camera comes with key points."""
+        if "sight_lines" not in measured:
+            return jnp.zeros(0, body.landmarks.dtype)
+        lines = measured["sight_lines"]
+        hips = jnp.mean(body.landmarks[HIPS], 0)
+        way = hips - lines.origin
+        way = way / jnp.linalg.norm(way, axis=-1, keepdims=True)
+        beyond = jnp.einsum("lk,ck->cl", body.landmarks - hips, way, precision=HIGHEST)
+        is_there = jnp.isfinite(lines.depths) & (lines.confidences > 0)
+        off = beyond - jnp.where(is_there, lines.depths, 0.0)
+        return shortened(jnp.where(is_there, off / self.deviation, 0.0)[..., None])[..., 0]

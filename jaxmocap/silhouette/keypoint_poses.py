@@ -23,7 +23,7 @@ from jaxmocap.body.kinematics import Sites, landmarks
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, relaxed_pose, retract
 from jaxmocap.body.proportions import LENGTHS
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, other_side
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
@@ -31,7 +31,7 @@ from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.balance import Balance
 from jaxmocap.evidence.expansion import linearised
 from jaxmocap.evidence.ground import FeetOnFloor
-from jaxmocap.evidence.keypoints import KeyPoints, SightLines
+from jaxmocap.evidence.keypoints import EstimatedDepths, KeyPoints, SightLines
 from jaxmocap.evidence.limits import JointLimits
 from jaxmocap.evidence.posture import MostlyRelaxedPosture, Pelvis, RelaxedPosture
 from jaxmocap.evidence.smoothness import REACH, smoothness
@@ -54,6 +54,8 @@ FRAMES_A_CALL = 8
 MINIMA, ROUGH_STEPS, STEPS = 8, 8, 20
 DAMPING, EASED, RAISED = 1.0, 0.2, 5.0
 LARGEST_STEP = 0.5
+# What a frame costs whose sides are swapped, nats.
+SWAPPED = 0.05
 # Speed of a landmark, metres a second, and what counts of the landmarks, which move together.
 SPEED, INDEPENDENT = 1.0, 4.0
 
@@ -63,6 +65,7 @@ class KeypointPoseSettings:
     """What a user may tune of poses by key points; every field that is a ``Term`` takes part."""
 
     keypoints: KeyPoints = group(lambda: KeyPoints(deviation=0.015), "of key points")  # type: ignore[arg-type]
+    depths: EstimatedDepths = group(EstimatedDepths, "of depths that the detector estimates")
     posture: RelaxedPosture = group(
         lambda: MostlyRelaxedPosture(ease=0.3, bearing=0.3),  # type: ignore[arg-type]
         "of most joints at ease",
@@ -109,21 +112,34 @@ def poses_of_lines(
     """The poses (T, ...) at times (T,), seconds, that suit all frames' lines of sight (T, ...)."""
     model = Model(skeleton, Sites.none(skeleton.lengths.dtype))
     lines = jax.tree.map(lambda part: np.asarray(part, skeleton.lengths.dtype), lines)
-    measured = measurements(lines)
     counted = (np.asarray(lines.confidences) > 0).sum((1, 2)) >= LEAST_LINES
     rows = np.flatnonzero(counted)
-    some = jax.tree.map(lambda part: part[rows], measured)
-    call = partial(_minima, settings.terms, model)
-    position, quaternion, angles, costs, points = in_batches(call, (some,), FRAMES_A_CALL)
+    # One detector takes left for right now and then, and a person for one who faces away; two
+    # cameras' seldom do so at once.
+    both = [lines, sides_swapped(lines)][: 2 if lines.confidences.shape[1] == 1 else 1]
+    call, minima = partial(_minima, settings.terms, model), []
+    for each in both:
+        some = jax.tree.map(lambda part: part[rows], measurements(each))
+        minima.append(in_batches(call, (some,), FRAMES_A_CALL))
+    minima[-1][3] += SWAPPED * (len(both) - 1)
+    *parts, costs, points = (np.concatenate(part, 1) for part in zip(*minima, strict=True))
     flat, speed = points.reshape(*costs.shape, -1), SPEED * np.sqrt(len(LANDMARKS) / INDEPENDENT)
     chosen = cheapest_path(np.where(np.isfinite(costs), costs, 1e9), flat, times[rows], speed)
-    each = np.arange(len(rows))
-    minima = Pose(position, quaternion, angles)  # type: ignore[arg-type]
-    found = jax.tree.map(lambda part: part[each, chosen], minima)
+    is_swapped = np.zeros(len(times), bool)
+    is_swapped[rows] = chosen >= MINIMA
+    lines = SightLines(
+        *(
+            np.where(is_swapped.reshape(-1, *[1] * (a.ndim - 1)), b, a)
+            for a, b in zip(lines, both[-1], strict=True)
+        )
+    )
+    measured = measurements(lines)
+    found = Pose(*(part[np.arange(len(rows)), chosen] for part in parts))
+    costs = costs[np.arange(len(rows)), chosen]
     nearest = np.abs(rows[None] - np.arange(len(times))[:, None]).argmin(1)
     start = jax.tree.map(lambda part: part[nearest].astype(model.dtype), found)
     if len(times) <= REACH:
-        return KeypointPoses(start, costs[each, chosen][nearest], skeleton, lines)
+        return KeypointPoses(start, costs[nearest], skeleton, lines)
     weighted = replace(settings, proportions=settings.proportions * len(times))
     problem = SmoothingProblem(model, weighted, times, measured, Views.no_cameras())
     prior = smoothness(times, np.full(3 * len(LANDMARKS), float(settings.acceleration)))
@@ -139,6 +155,13 @@ def poses_of_lines(
     solved = solve(problem.with_measured(sight_lines=lines), solved.x)
     person = solved.x.person(skeleton)
     return KeypointPoses(solved.x.poses, np.asarray(solved.linear.cost), person, lines)
+
+
+def sides_swapped(lines: SightLines) -> SightLines:
+    """Lines (T, ...) with left taken for right."""
+    rows = other_side(LANDMARKS)
+    directions, sure, depths = (np.asarray(part)[:, :, rows] for part in lines[1:])
+    return SightLines(lines.origin, directions, sure, depths)
 
 
 def weighed_by_scatter(points: np.ndarray, lines: SightLines, deviation: float) -> SightLines:

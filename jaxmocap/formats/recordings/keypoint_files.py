@@ -5,8 +5,11 @@
     [{"frame_id": 0, "instances": [as above]}, ...]                 MMPose: one per video
     {"meta_info": {...}, "instance_info": one of the two lists}     MMPose's demo scripts
 
+An instance of ``jaxmocap keypoints`` may have ``keypoints_3d`` besides: [x, y, z] of each point,
+metres about the hips' middle, in the camera's axes.
+
 INPUTS: one such file.
-OUTPUTS: Frames: a number, and (K, 3) pixels and confidences of everybody in it.
+OUTPUTS: Frames: a number, and pixels and confidences of everybody in it; joints where it has them.
 """
 
 import codecs
@@ -28,8 +31,8 @@ from jaxmocap.formats.files.reading import read_bytes
 # The last number in a file's name is its frame's: cam_01_000000000123_keypoints.json.
 _NUMBER = re.compile(r"\d+(?!.*\d)")
 LARGEST_FRAME_NUMBER = 10**12
-# Pixels: no picture is so large, and no detector guesses so far out of it.
-LARGEST_PIXEL = 1e7
+# Pixels: no picture is so large, and no detector guesses so far out of it. Metres: nor a person.
+LARGEST_PIXEL, LARGEST_METRES = 1e7, 100.0
 # An hour at 120 frames a second is 432,000 of them.
 MAX_ENTRIES = 500_000
 # Of one file: half an hour of two people with 17 points takes 100 MB, 2 million lists. Of all that
@@ -46,7 +49,8 @@ class KeypointFrame:
 
     Attributes:
         number: of the frame, as its file counts.
-        people: (K, 3) pixels x, y and confidence of each; NaN, NaN, 0 where missing.
+        people: (K, 3) pixels x, y and confidence of each; NaN, NaN, 0 where missing. (K, 6) where
+            the file has joints: x, y, z about the hips' middle, camera's axes, metres.
         points: names of the K points where the file gives them.
         file: that it is in.
     """
@@ -136,7 +140,7 @@ def _people(file: Path, people: Any) -> list[np.ndarray]:
 
 
 def _instances(file: Path, where: str, instances: Any) -> list[np.ndarray]:
-    """(K, 3) of each of MMPose's instances."""
+    """(K, 3) of each of MMPose's instances, or (K, 6) with its joints."""
     arrays = []
     for i, instance in enumerate(_list(file, where, instances)):
         at = f"{where}[{i}]"
@@ -152,7 +156,15 @@ def _instances(file: Path, where: str, instances: Any) -> list[np.ndarray]:
             expected = "[x, y] of each with 'keypoint_scores', or [x, y, score]"
             problem = f"{at}.keypoints: found shape {points.shape}, expected {expected}"
             raise InputError(file, problem)
-        arrays.append(_with_missing_as_nan(points))
+        points = _with_missing_as_nan(points)
+        joints = _entry(instance, "keypoints_3d")
+        if joints is not None:
+            joints = _array(file, f"{at}.keypoints_3d", joints, LARGEST_METRES, "metres")
+            if joints.shape != points.shape:
+                problem = f"found shape {joints.shape}, expected [x, y, z] of each key point"
+                raise InputError(file, f"{at}.keypoints_3d: {problem} ({len(points)})")
+            points = np.column_stack([points, joints])
+        arrays.append(points)
     return arrays
 
 
@@ -172,14 +184,16 @@ def _list(file: Path, where: str, value: Any) -> list:
     return value
 
 
-def _array(file: Path, where: str, values: Any) -> np.ndarray:
+def _array(
+    file: Path, where: str, values: Any, limit: float = LARGEST_PIXEL, unit: str = "pixels"
+) -> np.ndarray:
     values = _list(file, where, values)
     try:
         # A null becomes NaN, which is what it means.
         array = float_array(values)
     except (TypeError, ValueError, OverflowError):
         raise InputError(file, f"{where}: found other than equally long lists of numbers") from None
-    if (largest := np.abs(array[np.isfinite(array)]).max(initial=0.0)) > LARGEST_PIXEL:
-        problem = f"found {largest:g}, expected pixels within {LARGEST_PIXEL:g}"
+    if (largest := np.abs(array[np.isfinite(array)]).max(initial=0.0)) > limit:
+        problem = f"found {largest:g}, expected {unit} within {limit:g}"
         raise InputError(file, f"{where}: {problem}")
     return array

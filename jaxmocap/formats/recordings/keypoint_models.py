@@ -30,11 +30,13 @@ _HALPE_FEET = (
 )
 # Model -> its points in the file's order. OpenPose: BODY_25, BODY_25B, COCO_18. RTMPose, MMPose
 # and Pose2Sim: COCO_17, HALPE_26, COCO_133 (whose 110 points of face and hands are of no use here).
+# MEDIAPIPE_19: of MediaPipe's 33 points those that COCO has, and the toes.
 MODELS: dict[str, tuple[str, ...]] = {
     "BODY_25": ("nose", "mid_shoulder", *_ARMS, "hip", *_LEGS, *_FACE, *_FEET),
     "BODY_25B": (*_COCO, "neck", "head", *_FEET),
     "COCO_18": ("nose", "mid_shoulder", *_ARMS, *_LEGS, *_FACE),
     "COCO_17": _COCO,
+    "MEDIAPIPE_19": (*_COCO, "left_big_toe", "right_big_toe"),
     "HALPE_26": (*_COCO, "head", "neck", "hip", *_HALPE_FEET),
     "COCO_133": (*_COCO, *_FEET, *[""] * 110),
 }

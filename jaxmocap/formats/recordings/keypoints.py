@@ -7,8 +7,8 @@ everybody in every frame.
 """
 
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -40,6 +40,8 @@ class Detections:
         confidences: (F, N, P) between 0 and 1; 0 where missing.
         name: the folder or file, for messages.
         warnings: sentences that a user should see.
+        joints_cam: (F, N, P, 3) metres about the hips' middle, in the camera's axes, where the
+            detector estimates them; NaN where missing.
     """
 
     numbers: np.ndarray
@@ -48,6 +50,7 @@ class Detections:
     confidences: np.ndarray
     name: str = "key points in memory"
     warnings: tuple[str, ...] = ()
+    joints_cam: np.ndarray | None = None
 
     def __post_init__(self):
         """Check that the parts fit, wherever they came from."""
@@ -59,8 +62,40 @@ class Detections:
                 f"key points: found pixels of shape {pixels} and confidences of shape "
                 f"{confidences} for {ends[0]} frames and {ends[1]} landmarks",
             )
+        if self.joints_cam is not None and np.shape(self.joints_cam) != (*confidences, 3):
+            found = f"joints of shape {np.shape(self.joints_cam)} for confidences of {confidences}"
+            raise InputError(self.name, f"key points: found {found}")
         if (np.diff(self.numbers) <= 0).any():
             raise InputError(self.name, "key points: the frame numbers do not ascend")
+
+    def at_frames(self, rows: np.ndarray) -> "Detections":
+        """Those of some of the frames, by rows (T,); of -1 none: NaN, and confidences of 0."""
+        chosen = self._changed(lambda part, missing: _rows(part, rows, missing))
+        return replace(chosen, numbers=np.arange(len(rows)))
+
+    def of_people(self, people: np.ndarray) -> "Detections":
+        """One person of each frame, by numbers (F,); of -1 nobody."""
+        frames = np.arange(len(people))
+        rows = np.where(people >= 0, frames, -1)
+        return self._changed(
+            lambda part, missing: _rows(part[frames, people][:, None], rows, missing)
+        )
+
+    def _changed(self, change: Callable[[np.ndarray, float], np.ndarray]) -> "Detections":
+        """With each array as a function of it, and of what stands for a missing point, has it."""
+        joints = self.joints_cam
+        return replace(
+            self,
+            pixels_xy=change(self.pixels_xy, np.nan),
+            confidences=change(self.confidences, 0.0),
+            joints_cam=None if joints is None else change(joints, np.nan),
+        )
+
+
+def _rows(part: np.ndarray, rows: np.ndarray, missing: float) -> np.ndarray:
+    """(T, ...) rows of an array; ``missing`` where a row is -1."""
+    is_there = np.reshape(rows >= 0, (-1, *[1] * (part.ndim - 1)))
+    return np.where(is_there, part[rows], missing)
 
 
 def read_keypoints(path: str | Path, model: str | None = None) -> Detections:
@@ -92,12 +127,15 @@ def read_keypoints(path: str | Path, model: str | None = None) -> Detections:
         raise InputError(path, f"none of the points {comma_list(names)} is a landmark of ours")
     count = max(len(frame.people) for frame in frames)
     check_keypoint_count(path, len(frames), count, len(landmarks))
-    shape = (len(frames), count, len(landmarks), 3)
-    table = np.full(shape, [np.nan, np.nan, 0.0])
+    table = np.full((len(frames), count, len(landmarks), people.shape[2]), np.nan)
+    table[..., 2] = 0.0
     place = [(i, j) for i, frame in enumerate(frames) for j in range(len(frame.people))]
     table[tuple(np.transpose(place))] = people[:, list(landmarks.values())]
     numbers = np.array([frame.number for frame in frames])
-    return Detections(numbers, tuple(landmarks), table[..., :2], table[..., 2], str(path), warnings)
+    joints = table[..., 3:] if people.shape[2] > 3 else None
+    return Detections(
+        numbers, tuple(landmarks), table[..., :2], table[..., 2], str(path), warnings, joints
+    )
 
 
 def check_keypoint_count(path: str | Path, frames: int, people: int, landmarks: int) -> None:
@@ -116,7 +154,7 @@ def _frames(path: Path) -> Iterator[KeypointFrame]:
     for file in files:
         for frame in read_keypoint_frames(file):
             total += _OVERHEAD_POINTS + sum(
-                _OVERHEAD_POINTS + len(person) for person in frame.people
+                _OVERHEAD_POINTS + person.size // 3 for person in frame.people
             )
             if total > MAX_POINTS:
                 raise InputError(file, f"found more than {MAX_POINTS} key points so far")
@@ -124,7 +162,7 @@ def _frames(path: Path) -> Iterator[KeypointFrame]:
 
 
 def _stacked_people(path: Path, frames: Sequence[KeypointFrame]) -> np.ndarray:
-    """(N, K, 3) the people of all frames one after the other."""
+    """(N, K, 3) the people of all frames one after the other; (N, K, 6) where some have joints."""
     files = [frame.file for frame in frames for _ in frame.people]
     people = [person for frame in frames for person in frame.people]
     if not people:
@@ -133,7 +171,10 @@ def _stacked_people(path: Path, frames: Sequence[KeypointFrame]) -> np.ndarray:
         if len(person) != len(people[0]):
             problem = f"found {len(person)} points, but {len(people[0])} in {files[0].name}"
             raise InputError(file, problem)
-    stacked = np.stack(people)
+    width = max(person.shape[1] for person in people)
+    stacked = np.full((len(people), len(people[0]), width), np.nan)
+    for row, person in zip(stacked, people, strict=True):
+        row[:, : person.shape[1]] = person
     detected_xy = stacked[stacked[..., 2] > 0, :2]
     # OpenPose can write fractions of the image.
     if detected_xy.size and np.abs(detected_xy).max() <= 1.0:

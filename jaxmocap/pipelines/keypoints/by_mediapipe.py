@@ -2,7 +2,8 @@
 
 Its last version whose wheel brings the model, 0.10.21, wants NumPy 1, and cannot live beside ours.
 
-INPUTS: the Python of an environment with ``mediapipe``; images. OUTPUTS: COCO's 17 points of each.
+INPUTS: the Python of an environment with ``mediapipe``; images.
+OUTPUTS: 19 points of each image, and where in space it takes them to be.
 """
 
 import json
@@ -24,10 +25,10 @@ SCRIPT = Path(__file__).with_name("mediapipe_process.py")
 RECIPE = "python3.11 -m venv mp && mp/bin/pip install mediapipe==0.10.21"
 # A line that the process writes once its model is there.
 READY = "ready"
-MODEL = "COCO_17"
+MODEL = "MEDIAPIPE_19"
 # It may take so long to start, and for each frame, seconds.
 TIMEOUT_S = 120.0
-# An answer has some two kilobytes.
+# An answer has some three kilobytes.
 MAX_ANSWER_BYTES = 2**16
 
 
@@ -101,8 +102,8 @@ def _limited(python: str, process: "subprocess.Popen[bytes]", timeout_s: float) 
 
 
 def _points(python: str, line: bytes) -> np.ndarray | None:
-    """(K, 3) pixels and confidences in an answer; None where nobody is."""
-    expected = (len(MODELS[MODEL]), 3)
+    """(K, 6) pixels, confidences and joints in an answer; None where nobody is."""
+    expected = (len(MODELS[MODEL]), 6)
     try:
         points = np.array(json.loads(line), float)
         if not points.size:
@@ -112,7 +113,7 @@ def _points(python: str, line: bytes) -> np.ndarray | None:
     except (ValueError, TypeError, RecursionError):
         pass
     problem = f"MediaPipe's pose detector answered {short_repr(line.decode(errors='replace'))}"
-    raise InputError(python, f"{problem}, expected {expected[0]} times [x, y, confidence]")
+    raise InputError(python, f"{problem}, expected {expected[0]} times 6 numbers")
 
 
 def _ended(python: str, process: "subprocess.Popen[bytes]", errors) -> InputError:

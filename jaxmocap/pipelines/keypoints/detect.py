@@ -32,11 +32,12 @@ from jaxmocap.pipelines.tracking.track import track
 
 # A person is asked for within the box of the landmarks, wider by this share of its longer side.
 MARGIN = 0.2
-# Decimals of pixels and confidences.
-DECIMALS = 2, 3
+# Decimals of pixels, confidences and metres.
+DECIMALS = 2, 3, 3
 
 # An image (H, W, 3) BGR uint8, and the box [left, top, right, bottom] of the person in it, pixels,
-# to (K, 3) pixels and confidences; None where nobody is.
+# to (K, 3) pixels and confidences, or (K, 6) with joints as ``keypoint_files`` has them; None where
+# nobody is.
 Detect = Callable[[np.ndarray, np.ndarray], np.ndarray | None]
 
 
@@ -131,11 +132,11 @@ def _text(people: list[np.ndarray | None], model: str) -> str:
     for number, person in enumerate(people):
         instances = []
         if person is not None:
-            pixels, scores = (
-                np.round(person[:, :2], DECIMALS[0]),
-                np.round(person[:, 2], DECIMALS[1]),
-            )
-            instances = [{"keypoints": pixels.tolist(), "keypoint_scores": scores.tolist()}]
+            parts = {"keypoints": person[:, :2], "keypoint_scores": person[:, 2]}
+            if person.shape[1] > 3:
+                parts["keypoints_3d"] = person[:, 3:]
+            each = zip(parts.items(), DECIMALS, strict=False)
+            instances = [{name: np.round(own, n).tolist() for (name, own), n in each}]
         entries.append({"frame_id": number, "instances": instances})
     return json.dumps({"meta_info": {"keypoint_id2name": names}, "instance_info": entries})
 

@@ -17,10 +17,11 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, landmark_rows, with_joints
 from jaxmocap.capture.keypoints import follow_person, open_keypoints
 from jaxmocap.capture.video import FrameSource
-from jaxmocap.evidence.keypoints import SightLines, lines_of_sight
+from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.geometry.cameras import on_host, project
+from jaxmocap.pipelines.keypoints.lines import lines_to_person
 from jaxmocap.silhouette.first_pose import landmark_points
 from jaxmocap.silhouette.keypoint_poses import LEAST_LINES, KeypointPoses, poses_of_lines
 from jaxmocap.silhouette.settings import Settings
@@ -85,9 +86,7 @@ def keypoint_guide(
             continue
         warnings += detections.warnings
         person = follow_person(detections, _first_pixels(source, skeleton, start, detections))
-        pixels_xy = np.where(frames[:, None, None] >= 0, person.pixels_xy[frames, 0], np.nan)
-        sure = np.where(frames[:, None] >= 0, person.confidences[frames, 0], 0.0)
-        lines.append(lines_of_sight(source.camera, person.landmarks, pixels_xy, sure))
+        lines.append(lines_to_person(skeleton, source.camera, person.at_frames(frames)))
     if not lines:
         return None
     joined = jax.tree.map(lambda *parts: np.concatenate(parts, 1), *lines)

@@ -9,7 +9,6 @@ INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its R
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from time import perf_counter
 
 import jax
@@ -24,12 +23,13 @@ from jaxmocap.capture.keypoints import marked_landmarks, select_person
 from jaxmocap.capture.timeline import Mode, Timeline
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.appearance.learned import ROWS
-from jaxmocap.evidence.keypoints import SightLines, lines_of_sight
+from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.hybrid.settings import Settings, unused_setting
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.outputs.report import plain
+from jaxmocap.pipelines.keypoints.lines import lines_to_person
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import Opened, RecordingEvents, open_recording
 from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
@@ -260,10 +260,5 @@ def _lines(
     enough = np.isfinite(marked).all(-1).sum(1) >= 2
     expected = np.where(enough[:, None, None], marked, points_world[:, landmark_rows(names)])
     expected[frames < 0] = np.nan
-    at_events = replace(
-        keypoints,
-        numbers=np.arange(len(frames)),
-        pixels_xy=keypoints.pixels_xy[frames],
-        confidences=keypoints.confidences[frames],
-    )
-    return lines_of_sight(source.camera, names, *select_person(at_events, source.camera, expected))
+    person = select_person(keypoints.at_frames(frames), source.camera, expected)
+    return lines_to_person(recording.skeleton, source.camera, person)
