@@ -106,10 +106,9 @@ def _off_lines(
     """Price (S, 2, K) of candidates (S, 2, K, 3) that lie off the lines of key points, nats."""
     if "sight_lines" not in problem.measured:
         return 0.0
-    origin, directions, confidences = rows_of(problem.measured["sight_lines"], frames)
-    lines = SightLines(
-        origin[:, None], directions[:, None, :, ELBOWS], confidences[:, None, :, ELBOWS]
-    )
+    lines = rows_of(problem.measured["sight_lines"], frames)
+    of_elbows = (part[:, None, :, ELBOWS] for part in lines[1:])
+    lines = SightLines(lines.origin[:, None], *of_elbows)
     places = on_device(elbows.swapaxes(1, 2))
     off = line_residuals(places, lines, problem.settings.keypoints.deviation)
     return np.asarray(jnp.sum(off**2, (-3, -1)) / 2).swapaxes(1, 2)
