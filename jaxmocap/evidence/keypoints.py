@@ -22,17 +22,12 @@ from jaxmocap.solvers.robust import shortened
 
 
 class SightLines(NamedTuple):
-    """Where C cameras see the landmarks at one time.
+    """Where C cameras see the landmarks at one time."""
 
-    Attributes:
-        origin: (C, 3) the cameras' centres, world, metres.
-        directions: (C, L, 3) unit vectors to the ``LANDMARKS``, world; NaN where not detected.
-        confidences: (C, L) between 0 and 1; 0 where not detected.
-    """
-
-    origin: Array | np.ndarray
+    origin: Array | np.ndarray  # (C, 3) the cameras' centres, world, metres
+    # (C, L, 3) unit vectors to the ``LANDMARKS``, world; NaN where not detected.
     directions: Array | np.ndarray
-    confidences: Array | np.ndarray
+    confidences: Array | np.ndarray  # (C, L) between 0 and 1; 0 where not detected
 
 
 def lines_of_sight(
