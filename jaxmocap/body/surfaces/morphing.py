@@ -32,7 +32,7 @@ WEIGHTINGS = {"linear": lambda t: t, "square_root": _square_root, "squared": lam
 
 
 class Driver(NamedTuple):
-    """What drives others: a joint by its angle, or two by how far they raise the bone they swing."""
+    """What drives others: the angle of a joint, or how far two joints raise the bone they swing."""
 
     # Names. One gives its angle, radians. Two hinges at right angles, flexion and abduction, give
     # (1 - cos cos) / 2: 0 with the arm hanging, 1 upright; it is smooth everywhere, as the angle of
