@@ -34,27 +34,16 @@ ARM_LANDMARKS = np.stack(
 
 
 class Arms(NamedTuple):
-    """Left and right arm, world, metres. The forearm and the hand are one rigid piece.
+    """Left and right arm, world, metres. The forearm and the hand are one rigid piece."""
 
-    Attributes:
-        shoulder: (2, 3).
-        elbow: (2, 3).
-        wrist: (2, 3).
-        tip: (2, 3) far end of the hand.
-        grip: (2, 3) the point that the arm's marker holds; the wrist where it carries none.
-        R_world_radius: (2, 3, 3) orientation of the forearm.
-        humerus_length: (2,).
-        radii: (2, 3, 2) of humerus, radius and hand at their two ends.
-    """
-
-    shoulder: Array
-    elbow: Array
-    wrist: Array
-    tip: Array
-    grip: Array
-    R_world_radius: Array
-    humerus_length: Array
-    radii: Array
+    shoulder: Array  # (2, 3)
+    elbow: Array  # (2, 3)
+    wrist: Array  # (2, 3)
+    tip: Array  # (2, 3) far end of the hand
+    grip: Array  # (2, 3) the point that the arm's marker holds; the wrist where it carries none
+    R_world_radius: Array  # (2, 3, 3) orientation of the forearm
+    humerus_length: Array  # (2,)
+    radii: Array  # (2, 3, 2) of humerus, radius and hand at their two ends
 
 
 def limb_bones(tree: Tree) -> np.ndarray:
@@ -116,23 +105,14 @@ TURNS = forearm_turns()
 
 
 class Hung(NamedTuple):
-    """Arms hung on a fixed trunk, to be moved by their own joints alone (left, right).
+    """Arms hung on a fixed trunk, to be moved by their own joints alone (left, right)."""
 
-    Attributes:
-        angles: (2, 4) of the pose, shoulder to elbow, radians.
-        R_world_carrier: (2, 3, 3) orientations of the clavicles.
-        axes: (2, 4, 3) hinge axes, shoulder to elbow, each in the frame its predecessors leave.
-        reaches: (2, 3, 3) vectors along humerus, radius and hand, each in its bone's frame.
-        grip: (2, 3) in the forearm's frame, from the elbow.
-        arms: at the pose that the trunk was taken from.
-    """
-
-    angles: Array
-    R_world_carrier: Array
-    axes: Array
-    reaches: Array
-    grip: Array
-    arms: Arms
+    angles: Array  # (2, 4) of the pose, shoulder to elbow, radians
+    R_world_carrier: Array  # (2, 3, 3) orientations of the clavicles
+    axes: Array  # (2, 4, 3) hinge axes, shoulder to elbow, each in the frame its predecessors leave
+    reaches: Array  # (2, 3, 3) vectors along humerus, radius and hand, each in its bone's frame
+    grip: Array  # (2, 3) in the forearm's frame, from the elbow
+    arms: Arms  # at the pose that the trunk was taken from
 
 
 def arm_dofs(tree: Tree) -> np.ndarray:

@@ -27,35 +27,23 @@ from jaxmocap.geometry.rotations import (
 
 
 class Frames(NamedTuple):
-    """Where the bones are, for B bones and D degrees of freedom.
+    """Where the bones are, for B bones and D degrees of freedom."""
 
-    Attributes:
-        root: (3,) position of the pelvis in the world, metres.
-        R_world_bone: (B, 3, 3) orientations.
-        joints_world: (B, 3) positions of the bones' joints, metres.
-        axes_world: (D, 3) hinge axes v_j of equation (4).
-    """
-
-    root: Array
-    R_world_bone: Array
-    joints_world: Array
-    axes_world: Array
+    root: Array  # (3,) position of the pelvis in the world, metres
+    R_world_bone: Array  # (B, 3, 3) orientations
+    joints_world: Array  # (B, 3) positions of the bones' joints, metres
+    axes_world: Array  # (D, 3) hinge axes v_j of equation (4)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Sites:
-    """M points fixed to bones, such as markers.
+    """M points fixed to bones, such as markers."""
 
-    Attributes:
-        bone_indices: of the bones that carry them (static; any integers are taken).
-        at: (M,) fraction of the bone's length from its joint.
-        offsets: (M, 3) metres, in the bone's frame.
-    """
-
+    # Of the bones that carry them (static; any integers are taken).
     bone_indices: Sequence[int] | np.ndarray = field(metadata={"static": True})
-    at: Array
-    offsets: Array
+    at: Array  # (M,) fraction of the bone's length from its joint
+    offsets: Array  # (M, 3) metres, in the bone's frame
 
     def __post_init__(self):
         # Hashable, since it belongs to a program's name.

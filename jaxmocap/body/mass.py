@@ -16,17 +16,11 @@ from jaxmocap.geometry.rotations import HIGHEST, rotate
 
 
 class AugmentedBodies(NamedTuple):
-    """What each degree of freedom carries (section 4.4).
+    """What each degree of freedom carries (section 4.4)."""
 
-    Attributes:
-        masses: (D,) m_i, kilograms.
-        centres_world: (D, 3) centres of gravity, metres.
-        arms: (D,) h_i, horizontal distance from the joint to the centre of gravity, metres.
-    """
-
-    masses: Array
-    centres_world: Array
-    arms: Array
+    masses: Array  # (D,) m_i, kilograms
+    centres_world: Array  # (D, 3) centres of gravity, metres
+    arms: Array  # (D,) h_i, horizontal distance from the joint to the centre of gravity, metres
 
 
 def bone_centres(skeleton: Skeleton, frames: Frames) -> Array:

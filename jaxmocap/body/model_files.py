@@ -20,17 +20,11 @@ MARKED = "markers.toml"
 
 @dataclass(frozen=True)
 class ModelFile:
-    """What a body's file says.
+    """What a body's file says."""
 
-    Attributes:
-        bones: rows, parents before children.
-        joints: rows, proximal to distal.
-        root: of the virtual root.
-    """
-
-    bones: list[dict]
-    joints: list[dict]
-    root: dict
+    bones: list[dict]  # rows, parents before children
+    joints: list[dict]  # rows, proximal to distal
+    root: dict  # of the virtual root
 
 
 # The file is kept, not its arrays: those would outlive a trace or a change of precision.

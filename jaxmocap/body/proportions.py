@@ -17,17 +17,11 @@ from jaxmocap.compilation.arrays import Numbers, namespace
 
 
 class Proportion(NamedTuple):
-    """A factor on some bones' lengths or diameters.
-
-    Attributes:
-        name: of it.
-        bones: groups of them, or parts.
-        deviation: of its logarithm among people, given the subject that a recording states.
-    """
+    """A factor on some bones' lengths or diameters."""
 
     name: str
-    bones: tuple[str, ...]
-    deviation: float
+    bones: tuple[str, ...]  # groups of them, or parts
+    deviation: float  # of its logarithm among people, given the subject that a recording states
 
 
 # What every recording corrects.

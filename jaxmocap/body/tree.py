@@ -14,19 +14,12 @@ ROOT_DOF = 6
 
 
 class Segment(NamedTuple):
-    """What kind of bone one is.
+    """What kind of bone one is."""
 
-    Attributes:
-        group: spine, head, shoulder, arm, hip, leg, or what else a body has; "" for none.
-        part: the bone's name within its group, the same on both sides.
-        side: "l", "r", or "" in the middle.
-        drawn: whether silhouettes show it as its cone.
-    """
-
-    group: str = ""
-    part: str = ""
-    side: str = ""
-    drawn: bool = True
+    group: str = ""  # spine, head, shoulder, arm, hip, leg, or what else a body has; "" for none
+    part: str = ""  # the bone's name within its group, the same on both sides
+    side: str = ""  # "l", "r", or "" in the middle
+    drawn: bool = True  # whether silhouettes show it as its cone
 
 
 # Of the links' transforms, the world's own is first, then the root's.
@@ -34,19 +27,14 @@ ROOT_LINK = 1
 
 
 class Links(NamedTuple):
-    """Turning by one degree of freedom each, or by none: what transforms are composed along.
+    """Turning by one degree of freedom each, or by none: what transforms are composed along."""
 
-    Attributes:
-        bones: (N,) that those beside the world and the root belong to: of each degree of freedom,
-            then of each bone without any.
-        begins: (N,) whether one is the first of its bone.
-        last: (B,) each bone's last link, which carries it.
-        doublings: (K, 2 + N) ancestors at distance 1, 2, 4, ... of each; the world past the root.
-    """
-
+    # (N,) that those beside the world and the root belong to: of each degree of freedom, then of
+    # each bone without any.
     bones: np.ndarray
-    begins: np.ndarray
-    last: np.ndarray
+    begins: np.ndarray  # (N,) whether one is the first of its bone
+    last: np.ndarray  # (B,) each bone's last link, which carries it
+    # (K, 2 + N) ancestors at distance 1, 2, 4, ... of each; the world past the root.
     doublings: np.ndarray
 
 
@@ -54,22 +42,17 @@ class Links(NamedTuple):
 # of precision between two traces would break the second.
 @dataclass(frozen=True)
 class Tree:
-    """What of a skeleton is static: names and who hangs on whom. Hashable.
+    """What of a skeleton is static: names and who hangs on whom. Hashable."""
 
-    Attributes:
-        bones: names of the B bones, parents before children.
-        parents: index of each bone's parent, -1 for bones that start at the virtual root.
-        joints: names of the D degrees of freedom.
-        dof_bones: index of the bone that each degree of freedom turns, proximal to distal.
-        segments: what kind of bone each is; () where that is specified of none.
-        searched: limb that is searched by each degree of freedom, "" for none; () for none at all.
-    """
-
-    bones: tuple[str, ...]
+    bones: tuple[str, ...]  # names of the B bones, parents before children
+    # Index of each bone's parent, -1 for bones that start at the virtual root.
     parents: tuple[int, ...]
-    joints: tuple[str, ...]
+    joints: tuple[str, ...]  # names of the D degrees of freedom
+    # Index of the bone that each degree of freedom turns, proximal to distal.
     dof_bones: tuple[int, ...]
+    # What kind of bone each is; () where that is specified of none.
     segments: tuple[Segment, ...] = ()
+    # Limb that is searched by each degree of freedom, "" for none; () for none at all.
     searched: tuple[str, ...] = ()
 
     def bone(self, name: str) -> int:

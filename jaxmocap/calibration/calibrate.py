@@ -36,23 +36,15 @@ from jaxmocap.formats.files.toml import read_toml
 
 @dataclass(frozen=True)
 class IntrinsicsResult:
-    """What ``calibrate_camera`` found.
+    """What ``calibrate_camera`` found."""
 
-    Attributes:
-        camera: name of its section.
-        detections: the board in pictures; ``estimate.used`` says on which views the result rests.
-        estimate: the calibration.
-        coverage: of the image by the views used.
-        warnings: sentences that a user should see.
-        files: written.
-    """
-
-    camera: str
+    camera: str  # name of its section
+    # The board in pictures; ``estimate.used`` says on which views the result rests.
     detections: BoardDetections
-    estimate: IntrinsicsEstimate
-    coverage: ImageCoverage
-    warnings: tuple[str, ...]
-    files: tuple[Path, ...]
+    estimate: IntrinsicsEstimate  # the calibration
+    coverage: ImageCoverage  # of the image by the views used
+    warnings: tuple[str, ...]  # sentences that a user should see
+    files: tuple[Path, ...]  # written
 
     def rows(self) -> list[tuple[str, float, float, bool]]:
         """Name, residual (pixels, RMS), tilt (degrees) and whether it was used, of each view."""

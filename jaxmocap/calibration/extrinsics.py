@@ -38,27 +38,17 @@ _UNCERTAIN_M = 0.05
 
 @dataclass(frozen=True)
 class Placement:
-    """A camera in the world.
+    """A camera in the world."""
 
-    Attributes:
-        T_cam_world: (4, 4) float64, metres.
-        residuals_xy: (N, 2) reprojected minus detected, pixels, of all points.
-        used: (N,) which points the pose rests on.
-        std_m: (3,) standard deviation of the camera's place, metres, by the corners' noise alone.
-        std_deg: of its direction, the largest of the three axes, degrees.
-        mirrored: the other solution that a flat target has, T_cam_world, or None.
-        mirrored_ratio: its residual over that of the one taken.
-        warnings: sentences that a user should see.
-    """
-
-    T_cam_world: np.ndarray
-    residuals_xy: np.ndarray
-    used: np.ndarray
+    T_cam_world: np.ndarray  # (4, 4) float64, metres
+    residuals_xy: np.ndarray  # (N, 2) reprojected minus detected, pixels, of all points
+    used: np.ndarray  # (N,) which points the pose rests on
+    # (3,) standard deviation of the camera's place, metres, by the corners' noise alone.
     std_m: np.ndarray
-    std_deg: float
-    mirrored: np.ndarray | None
-    mirrored_ratio: float
-    warnings: tuple[str, ...]
+    std_deg: float  # of its direction, the largest of the three axes, degrees
+    mirrored: np.ndarray | None  # the other solution that a flat target has, T_cam_world, or None
+    mirrored_ratio: float  # its residual over that of the one taken
+    warnings: tuple[str, ...]  # sentences that a user should see
 
     @property
     def rms(self) -> float:

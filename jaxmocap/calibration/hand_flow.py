@@ -35,30 +35,19 @@ SMOOTHING_CUTOFF_SHARE = 0.25
 
 
 class FlowPair(NamedTuple):
-    """Measured and predicted flow at one lag, for K frames and H hands.
+    """Measured and predicted flow at one lag, for K frames and H hands."""
 
-    Attributes:
-        measured: (K, H, 2) flow at the hands, pixels of the image, to the next frame.
-        predicted: (K, H, 2) the same by the markers. Both are NaN where one is missing.
-    """
-
-    measured: np.ndarray
-    predicted: np.ndarray
+    measured: np.ndarray  # (K, H, 2) flow at the hands, pixels of the image, to the next frame
+    predicted: np.ndarray  # (K, H, 2) the same by the markers. Both are NaN where one is missing.
 
 
 @dataclass(frozen=True)
 class MarkerPath:
-    """A marker over time, between its samples as well.
+    """A marker over time, between its samples as well."""
 
-    Attributes:
-        spline: positions over seconds.
-        times: (N,) of the samples that it goes through.
-        max_interval: seconds between two of them that count as a gap.
-    """
-
-    spline: CubicSpline
-    times: np.ndarray
-    max_interval: float
+    spline: CubicSpline  # positions over seconds
+    times: np.ndarray  # (N,) of the samples that it goes through
+    max_interval: float  # seconds between two of them that count as a gap
 
     @classmethod
     def through(cls, times: np.ndarray, positions: np.ndarray) -> "MarkerPath | None":
@@ -85,21 +74,13 @@ class MarkerPath:
 
 @dataclass(frozen=True)
 class HandFlow:
-    """Flow of one stretch of a video, and the hands that it shows.
+    """Flow of one stretch of a video, and the hands that it shows."""
 
-    Attributes:
-        times: (K + 1,) marker time of the frames, as the recording has it.
-        fields: (K, H', W', 2) flow to the next frame, pixels of the image.
-        spacing: pixels of the image between a field's entries.
-        camera: that took them.
-        paths: of the hands.
-    """
-
-    times: np.ndarray
-    fields: np.ndarray
-    spacing: float
-    camera: Camera
-    paths: Sequence[MarkerPath]
+    times: np.ndarray  # (K + 1,) marker time of the frames, as the recording has it
+    fields: np.ndarray  # (K, H', W', 2) flow to the next frame, pixels of the image
+    spacing: float  # pixels of the image between a field's entries
+    camera: Camera  # that took them
+    paths: Sequence[MarkerPath]  # of the hands
 
     def flow_pair(self, lag: float, place_lag: float | None = None) -> FlowPair:
         """Flow and markers' motion if the video ran ``lag`` seconds later than stated.

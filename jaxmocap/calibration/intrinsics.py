@@ -39,27 +39,17 @@ class BoardView:
 
 @dataclass(frozen=True)
 class IntrinsicsEstimate:
-    """A calibration, its residuals and its standard deviations.
+    """A calibration, its residuals and its standard deviations."""
 
-    Attributes:
-        parameters: names of the P values.
-        lens: the result.
-        rms: reprojection error over all views used, pixels.
-        poses: of the board in each view, used or not; None where there is none.
-        used: which views the result rests on.
-        values: (P,) pixels and plain numbers.
-        std: (P,) standard deviations by least squares: as if corners erred independently.
-        leave_one_out: (V, P) the values with each of the V views used left out in turn.
-    """
-
-    parameters: tuple[str, ...]
+    parameters: tuple[str, ...]  # names of the P values
     lens: Intrinsics
-    rms: float
+    rms: float  # reprojection error over all views used, pixels
+    # Of the board in each view, used or not; None where there is none.
     poses: tuple[CameraPose | None, ...]
-    used: tuple[bool, ...]
-    values: np.ndarray
-    std: np.ndarray
-    leave_one_out: np.ndarray
+    used: tuple[bool, ...]  # which views the result rests on
+    values: np.ndarray  # (P,) pixels and plain numbers
+    std: np.ndarray  # (P,) standard deviations by least squares: as if corners erred independently
+    leave_one_out: np.ndarray  # (V, P) the values with each of the V views used left out in turn
 
     @property
     def jackknife_std(self) -> np.ndarray:
@@ -170,15 +160,10 @@ _MASK_SIDE = 200
 
 @dataclass(frozen=True)
 class ImageCoverage:
-    """Where in the image boards were detected.
+    """Where in the image boards were detected."""
 
-    Attributes:
-        share: of the image that was within a board's corners at least once, 0 to 1.
-        empty: names of the ninths of the image without any corner.
-    """
-
-    share: float
-    empty: tuple[str, ...]
+    share: float  # of the image that was within a board's corners at least once, 0 to 1
+    empty: tuple[str, ...]  # names of the ninths of the image without any corner
 
 
 def image_coverage(views: Sequence[BoardView], size: tuple[int, int]) -> ImageCoverage:

@@ -37,42 +37,27 @@ from jaxmocap.formats.time_series.markers import read_points
 
 @dataclass(frozen=True)
 class PlacementTarget:
-    """Where the board stands, or which points were listed: what the user measured.
+    """Where the board stands, or which points were listed: what the user measured."""
 
-    Attributes:
-        board: in the photograph; None with points.
-        pose: of the board in the world: x, y, z in metres, rx, ry, rz in degrees.
-        origin_xy: pixel near the board's origin, for boards that look the same when turned.
-        points: file of points.
-        up: the axis that points up where these were measured, "z" or "y".
-    """
-
-    board: Board | None = None
+    board: Board | None = None  # in the photograph; None with points
+    # Of the board in the world: x, y, z in metres, rx, ry, rz in degrees.
     pose: tuple[float, ...] | None = None
+    # Pixel near the board's origin, for boards that look the same when turned.
     origin_xy: tuple[float, float] | None = None
-    points: str | Path | None = None
-    up: str = "z"
+    points: str | Path | None = None  # file of points
+    up: str = "z"  # the axis that points up where these were measured, "z" or "y"
 
 
 @dataclass(frozen=True)
 class ExtrinsicsResult:
-    """What ``place_camera`` found.
+    """What ``place_camera`` found."""
 
-    Attributes:
-        camera: name of its section.
-        image: the photograph's name.
-        names: of the N points or corners.
-        placement: the camera in the world, and residuals.
-        warnings: sentences that a user should see.
-        files: written.
-    """
-
-    camera: str
-    image: str
-    names: tuple[str, ...]
-    placement: Placement
-    warnings: tuple[str, ...]
-    files: tuple[Path, ...]
+    camera: str  # name of its section
+    image: str  # the photograph's name
+    names: tuple[str, ...]  # of the N points or corners
+    placement: Placement  # the camera in the world, and residuals
+    warnings: tuple[str, ...]  # sentences that a user should see
+    files: tuple[Path, ...]  # written
 
 
 def place_camera(

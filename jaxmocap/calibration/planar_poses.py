@@ -23,17 +23,11 @@ SAME_POSE_RAD = 1e-3
 
 @dataclass(frozen=True)
 class CameraPose:
-    """From the points' frame to the camera's.
+    """From the points' frame to the camera's."""
 
-    Attributes:
-        rvec: (3,) Rodrigues vector.
-        tvec: (3,) metres.
-        residuals_xy: (N, 2) reprojected minus detected, pixels.
-    """
-
-    rvec: np.ndarray
-    tvec: np.ndarray
-    residuals_xy: np.ndarray
+    rvec: np.ndarray  # (3,) Rodrigues vector
+    tvec: np.ndarray  # (3,) metres
+    residuals_xy: np.ndarray  # (N, 2) reprojected minus detected, pixels
 
     @property
     def rms(self) -> float:

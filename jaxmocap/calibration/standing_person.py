@@ -36,17 +36,11 @@ NEAREST_M, FARTHEST_M = 0.8, 30.0
 
 
 class StandingCamera(NamedTuple):
-    """Where a camera is, above the floor.
+    """Where a camera is, above the floor."""
 
-    Attributes:
-        height: metres.
-        pitch: downwards, radians.
-        deviations: (2,) standard deviations of both.
-    """
-
-    height: float
-    pitch: float
-    deviations: np.ndarray
+    height: float  # metres
+    pitch: float  # downwards, radians
+    deviations: np.ndarray  # (2,) standard deviations of both
 
     def placed(self, camera: Camera) -> Camera:
         """The same lens above the world's origin, looking along x; the floor is z = 0."""

@@ -46,20 +46,14 @@ _BONE_ENDS |= {
 
 @dataclass(frozen=True)
 class ScaledBody:
-    """A person's body.
-
-    Attributes:
-        skeleton: of the person.
-        height: metres.
-        measured_bones: bone -> standard deviation, metres, over the frames of the distance that its
-            length was taken from, and their number; only of bones that were measured.
-        path: of the file written.
-    """
+    """A person's body."""
 
     skeleton: Skeleton
-    height: float
+    height: float  # metres
+    # Bone -> standard deviation, metres, over the frames of the distance that its length was taken
+    # from, and their number; only of bones that were measured.
     measured_bones: Mapping[str, tuple[float, int]]
-    path: Path
+    path: Path  # of the file written
 
     def text(self) -> str:
         """What each bone's length rests on."""

@@ -61,28 +61,19 @@ MIN_SPEED_PX = 0.5
 
 @dataclass(frozen=True)
 class VideoOffset:
-    """One video's clock.
+    """One video's clock."""
 
-    Attributes:
-        camera: its name.
-        stated_offset: the offset in the recording, seconds.
-        offset: seconds to add to video time to get marker time; NaN where it is not identifiable.
-        std: its standard deviation, seconds; NaN likewise.
-        correlation: of image and markers at the best lag.
-        drift: seconds of marker time gained for each second of video, or NaN where the recording
-            is too short for one.
-        drift_std: its standard deviation.
-        reason: why there is no offset; empty where there is one.
-    """
-
-    camera: str
-    stated_offset: float
+    camera: str  # its name
+    stated_offset: float  # the offset in the recording, seconds
+    # Seconds to add to video time to get marker time; NaN where it is not identifiable.
     offset: float
-    std: float
-    correlation: float
+    std: float  # its standard deviation, seconds; NaN likewise
+    correlation: float  # of image and markers at the best lag
+    # Seconds of marker time gained for each second of video, or NaN where the recording is too
+    # short for one.
     drift: float = float("nan")
-    drift_std: float = float("nan")
-    reason: str = ""
+    drift_std: float = float("nan")  # its standard deviation
+    reason: str = ""  # why there is no offset; empty where there is one
 
     @property
     def is_found(self) -> bool:
@@ -105,21 +96,13 @@ class VideoOffset:
 
 @dataclass(frozen=True)
 class StretchLag:
-    """The lag of one stretch of a video.
+    """The lag of one stretch of a video."""
 
-    Attributes:
-        middle: of the stretch, seconds of marker time.
-        lag: seconds to add to the stated offset, or NaN.
-        std: its standard deviation, seconds, or NaN.
-        correlation: of image and markers at that lag.
-        reason: why there is no lag; empty where there is one.
-    """
-
-    middle: float
-    lag: float
-    std: float
-    correlation: float
-    reason: str = ""
+    middle: float  # of the stretch, seconds of marker time
+    lag: float  # seconds to add to the stated offset, or NaN
+    std: float  # its standard deviation, seconds, or NaN
+    correlation: float  # of image and markers at that lag
+    reason: str = ""  # why there is no lag; empty where there is one
 
 
 def estimate_video_offsets(recording: Recording, search: float = 1.0) -> list[VideoOffset]:

@@ -39,23 +39,14 @@ TWO_PASS_CUTOFF_RATIO = (2**0.5 - 1) ** 0.25
 
 @dataclass(frozen=True)
 class Cleaning:
-    """What filters did to T samples of M markers.
+    """What filters did to T samples of M markers."""
 
-    Attributes:
-        names: of the markers.
-        applied: filter -> its parameter, of those that were on.
-        outliers: (T, M) samples taken for missing.
-        filled: (T, M) samples that were filled in.
-        missing: (T, M) samples still missing.
-        warnings: sentences that a user should see.
-    """
-
-    names: tuple[str, ...]
-    applied: dict[str, Any]
-    outliers: np.ndarray
-    filled: np.ndarray
-    missing: np.ndarray
-    warnings: tuple[str, ...] = ()
+    names: tuple[str, ...]  # of the markers
+    applied: dict[str, Any]  # filter -> its parameter, of those that were on
+    outliers: np.ndarray  # (T, M) samples taken for missing
+    filled: np.ndarray  # (T, M) samples that were filled in
+    missing: np.ndarray  # (T, M) samples still missing
+    warnings: tuple[str, ...] = ()  # sentences that a user should see
 
     def figures(self) -> dict[str, Any]:
         """Filters that were on, and counts for each marker."""

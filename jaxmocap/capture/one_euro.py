@@ -22,17 +22,11 @@ FORGET_AFTER_S = 0.2
 
 
 class OneEuroState(NamedTuple):
-    """What the filter remembers of each marker.
+    """What the filter remembers of each marker."""
 
-    Attributes:
-        times: (M,) seconds of its last position; NaN before.
-        positions: (M, 3) metres, filtered, then.
-        velocities: (M, 3) metres per second, low-passed, then.
-    """
-
-    times: np.ndarray
-    positions: np.ndarray
-    velocities: np.ndarray
+    times: np.ndarray  # (M,) seconds of its last position; NaN before
+    positions: np.ndarray  # (M, 3) metres, filtered, then
+    velocities: np.ndarray  # (M, 3) metres per second, low-passed, then
 
 
 def initial_state(count: int) -> OneEuroState:

@@ -20,17 +20,12 @@ SIMULTANEOUS_S = 1e-3
 
 @dataclass(frozen=True)
 class Timeline:
-    """E events in order of time, over T marker samples and C cameras.
+    """E events in order of time, over T marker samples and C cameras."""
 
-    Attributes:
-        event_times: (E,) seconds of marker time; a sample's own time where there is a sample.
-        sample_index: (E,) the marker sample that the event is, or -1.
-        frame_index: (E, C) the frame of each camera that it has, or -1.
-    """
-
+    # (E,) seconds of marker time; a sample's own time where there is a sample.
     event_times: np.ndarray
-    sample_index: np.ndarray
-    frame_index: np.ndarray
+    sample_index: np.ndarray  # (E,) the marker sample that the event is, or -1
+    frame_index: np.ndarray  # (E, C) the frame of each camera that it has, or -1
 
 
 def build_timeline(

@@ -45,17 +45,11 @@ _OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "file"} | decoder
 
 
 class FrameSource(ABC):
-    """F frames over time. It can be gone through any number of times.
+    """F frames over time. It can be gone through any number of times."""
 
-    Attributes:
-        name: the file, or a name where there is none.
-        times: (F,) seconds of marker time, ascending.
-        size: width and height in pixels.
-    """
-
-    name: str
-    times: np.ndarray
-    size: tuple[int, int]
+    name: str  # the file, or a name where there is none
+    times: np.ndarray  # (F,) seconds of marker time, ascending
+    size: tuple[int, int]  # width and height in pixels
 
     @abstractmethod
     def frames(self, luma: bool = False) -> Iterator[TimedImage]:

@@ -80,18 +80,14 @@ class _Once:
 
 @dataclass
 class _Made:
-    """What programs share that differ only in what comes first.
+    """What programs share that differ only in what comes first."""
 
-    Attributes:
-        compiled: structure, shapes and types of the arguments -> what compiles them.
-        by_itself: the jitted function, by the compiler's effort; what calls it within a program of
-            its own chooses that itself.
-        restored: the jitted function that looks up what was kept.
-    """
-
+    # Structure, shapes and types of the arguments -> what compiles them.
     compiled: dict[tuple, _Once]
+    # The jitted function, by the compiler's effort; what calls it within a program of its own
+    # chooses that itself.
     by_itself: Any = None
-    restored: Any = None
+    restored: Any = None  # the jitted function that looks up what was kept
 
 
 class Program:

@@ -32,16 +32,11 @@ from jaxmocap.images.regions import Region
 
 
 class EdgeFields(NamedTuple):
-    """What C cameras measured of both arms: distances to the nearest edges about them.
+    """What C cameras measured of both arms: distances to the nearest edges about them."""
 
-    Attributes:
-        region: where the fields lie: origins (C, 2, 2), scales (C, 2).
-        distances: (C, 2, K, S, S) to edges of K directions, samples of the region.
-        available: (C, 2) whether there is an image; the distances mean nothing where not.
-    """
-
-    region: Region
-    distances: Array | np.ndarray
+    region: Region  # where the fields lie: origins (C, 2, 2), scales (C, 2)
+    distances: Array | np.ndarray  # (C, 2, K, S, S) to edges of K directions, samples of the region
+    # (C, 2) whether there is an image; the distances mean nothing where not.
     available: Array | np.ndarray
 
     def by_arm(self) -> "EdgeFields":
@@ -50,17 +45,11 @@ class EdgeFields(NamedTuple):
 
 
 class WeightedEdges(NamedTuple):
-    """Edges, and what is settled where a solve starts.
+    """Edges, and what is settled where a solve starts."""
 
-    Attributes:
-        fields: of both arms.
-        weights: (2, C, 3, K) roots of the points' shares; 0 where one is hidden.
-        start: (2, 3) limbs, world, metres.
-    """
-
-    fields: EdgeFields
-    weights: Array
-    start: Cones
+    fields: EdgeFields  # of both arms
+    weights: Array  # (2, C, 3, K) roots of the points' shares; 0 where one is hidden
+    start: Cones  # (2, 3) limbs, world, metres
 
 
 @settings

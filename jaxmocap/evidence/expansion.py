@@ -39,19 +39,12 @@ from jaxmocap.geometry.rotations import HIGHEST, hat, quaternion_multiply
 
 
 class Linear(NamedTuple):
-    """Residuals about a pose, and how they change with N = 6 + D + P unknowns.
+    """Residuals about a pose, and how they change with N = 6 + D + P unknowns."""
 
-    Attributes:
-        residuals: (R,).
-        jacobian: (R, N) by the tangent vector of ``retract`` and by the proportions.
-        points: (3 L,) landmarks, world, metres.
-        points_jacobian: (3 L, N).
-    """
-
-    residuals: Array
-    jacobian: Array
-    points: Array
-    points_jacobian: Array
+    residuals: Array  # (R,)
+    jacobian: Array  # (R, N) by the tangent vector of ``retract`` and by the proportions
+    points: Array  # (3 L,) landmarks, world, metres
+    points_jacobian: Array  # (3 L, N)
 
 
 def expanded(
@@ -181,17 +174,11 @@ def residuals_and_pull(
 
 
 class _Derivatives(NamedTuple):
-    """Of a posed body by the tangent vector of ``retract``.
+    """Of a posed body by the tangent vector of ``retract``."""
 
-    Attributes:
-        points_world: (P, 3) of ``body_sites``.
-        shares: of the bones in the mass.
-        each: leaves (N, ...), by one entry each; no frames.
-    """
-
-    points_world: Array
-    shares: Array
-    each: PosedBody
+    points_world: Array  # (P, 3) of ``body_sites``
+    shares: Array  # of the bones in the mass
+    each: PosedBody  # leaves (N, ...), by one entry each; no frames
 
     @classmethod
     def of(cls, model: Model, body: PosedBody) -> "_Derivatives":

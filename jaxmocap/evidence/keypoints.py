@@ -35,19 +35,14 @@ LIMBS = tuple(
 
 
 class SightLines(NamedTuple):
-    """Where C cameras see the landmarks at one time.
+    """Where C cameras see the landmarks at one time."""
 
-    Attributes:
-        origin: (C, 3) the cameras' centres, world, metres.
-        directions: (C, L, 3) unit vectors to the ``LANDMARKS``, world; NaN where not detected.
-        confidences: (C, L) between 0 and 1; 0 where not detected.
-        depths: (C, L) metres by which a landmark lies farther off than the hips' middle, as the
-            detector has it; NaN where it does not say.
-    """
-
-    origin: Array | np.ndarray
+    origin: Array | np.ndarray  # (C, 3) the cameras' centres, world, metres
+    # (C, L, 3) unit vectors to the ``LANDMARKS``, world; NaN where not detected.
     directions: Array | np.ndarray
-    confidences: Array | np.ndarray
+    confidences: Array | np.ndarray  # (C, L) between 0 and 1; 0 where not detected
+    # (C, L) metres by which a landmark lies farther off than the hips' middle, as the detector has
+    # it; NaN where it does not say.
     depths: Array | np.ndarray
 
 

@@ -57,17 +57,11 @@ class MarkerPositions(Term):
 
 
 class Goals(NamedTuple):
-    """Where M points on bones are to go.
-
-    Attributes:
-        sites: the points.
-        targets: (M, 3) world, metres.
-        weights: (M,) of each in the least-squares sense; 0 where there is no target.
-    """
+    """Where M points on bones are to go."""
 
     sites: Sites
-    targets: Array
-    weights: Array
+    targets: Array  # (M, 3) world, metres
+    weights: Array  # (M,) of each in the least-squares sense; 0 where there is no target
 
     def off(self, points: Array) -> Array:
         """Points (M, 3) less their goals, metres; 0 for those of no weight."""

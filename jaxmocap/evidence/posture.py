@@ -132,17 +132,11 @@ FORGOTTEN, FORGOTTEN_JOINTS = 1.0, 1e3
 
 
 class LastPose(NamedTuple):
-    """Where the body was before.
+    """Where the body was before."""
 
-    Attributes:
-        pose: there.
-        effort: (D,) ``effort_shares`` there.
-        remembered: () whether what no marker determines stays near it.
-    """
-
-    pose: Pose
-    effort: Array
-    remembered: Array | bool
+    pose: Pose  # there
+    effort: Array  # (D,) ``effort_shares`` there
+    remembered: Array | bool  # () whether what no marker determines stays near it
 
 
 def effort_shares(
@@ -259,18 +253,12 @@ class NearPose(Term):
 
 
 class EstimatedPose(NamedTuple):
-    """A pose that something else estimated, and how surely, as a quadratic about it.
-
-    Attributes:
-        pose: that was estimated.
-        root: (N, N) whose root^T root is the Hessian of half the cost, by the tangent vector from
-            the pose.
-        offset: (N,) whose root^T offset is half the cost's derivative at the pose.
-    """
+    """A pose that something else estimated, and how surely, as a quadratic about it."""
 
     pose: Pose
+    # (N, N) whose root^T root is the Hessian of half the cost, by the tangent vector from the pose.
     root: Array | np.ndarray
-    offset: Array | np.ndarray
+    offset: Array | np.ndarray  # (N,) whose root^T offset is half the cost's derivative at the pose
 
 
 @settings
@@ -301,12 +289,7 @@ class UsualPlaces(Term):
 
 
 class Usual(NamedTuple):
-    """Where ``USUAL`` landmarks usually are.
+    """Where ``USUAL`` landmarks usually are."""
 
-    Attributes:
-        places: (..., K, 3) world, metres.
-        roots: (..., K, 3, 3) that whiten what is off them; 0 where nothing is usual.
-    """
-
-    places: Array | np.ndarray
-    roots: Any
+    places: Array | np.ndarray  # (..., K, 3) world, metres
+    roots: Any  # (..., K, 3, 3) that whiten what is off them; 0 where nothing is usual

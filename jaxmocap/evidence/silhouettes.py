@@ -54,31 +54,19 @@ HIDDEN_SOFTLY_M = 0.03
 
 
 class LegGrid(NamedTuple):
-    """The person's lower half in one camera.
+    """The person's lower half in one camera."""
 
-    Attributes:
-        region: where the grid lies in the image.
-        person: the whole person, as far as it is there.
-    """
-
-    region: Region
-    person: Grid
+    region: Region  # where the grid lies in the image
+    person: Grid  # the whole person, as far as it is there
 
 
 class SilhouetteGrids(NamedTuple):
-    """The person in one camera at one time.
+    """The person in one camera at one time."""
 
-    Attributes:
-        region: where the grid round the upper half lies in the image (no batch).
-        person: the whole person.
-        forearms: forearms and hands alone.
-        legs: the lower half; None where nobody looked.
-    """
-
-    region: Region
-    person: Grid
-    forearms: Grid
-    legs: LegGrid | None = None
+    region: Region  # where the grid round the upper half lies in the image (no batch)
+    person: Grid  # the whole person
+    forearms: Grid  # forearms and hands alone
+    legs: LegGrid | None = None  # the lower half; None where nobody looked
 
     def each_grid(self, call: Callable[[Grid], Grid]) -> "SilhouetteGrids":
         """The same with every grid changed."""

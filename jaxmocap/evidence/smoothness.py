@@ -21,17 +21,11 @@ FRAMES = 32
 
 
 class Smoothness(NamedTuple):
-    """A prior over the motion of M coordinates in T frames.
+    """A prior over the motion of M coordinates in T frames."""
 
-    Attributes:
-        frames: T.
-        coefficients: (T - 2, 3) of three successive points, to their acceleration.
-        weights: (M,) 1 / deviation; 0 where there is no prior.
-    """
-
-    frames: int
-    coefficients: np.ndarray
-    weights: np.ndarray
+    frames: int  # T
+    coefficients: np.ndarray  # (T - 2, 3) of three successive points, to their acceleration
+    weights: np.ndarray  # (M,) 1 / deviation; 0 where there is no prior
 
     def residuals(self, values: np.ndarray) -> np.ndarray:
         """Accelerations (T - 2, M, L), weighted, of each of L sets of (T, M, L) values."""

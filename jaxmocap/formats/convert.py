@@ -56,29 +56,23 @@ CALIBRATION_SUFFIX = ".toml"
 
 @dataclass(frozen=True)
 class ConversionOptions:
-    """How to convert.
+    """How to convert."""
 
-    Attributes:
-        names: convention of the joints' names, one of ``CONVENTIONS``; None is customary for the
-            target, or what the source says. ``opensim`` is for a .mot with OpenSim's coordinates.
-        unit: of the BVH file, of the one written if both are; None is metres when written, inferred
-            by the body's size when read. Of a calibration that does not state its own.
-        rate: samples per second of the target; None keeps the source's times.
-        body: file whose skeleton the angles of a .mot are of; None where the source has one.
-        angles: of the .mot written, ``hinges`` or ``isb``; None is hinges.
-        up: vertical axis of the markers written, "z" or "y"; None is as they are.
-        source_up: axis of a calibration's world that points up, a key of
-            ``calibrations.registry.R_WORLD_OF_SOURCE_UP``; None is what its system documents.
-        size: width and height of the pictures, pixels, of a calibration that does not state them.
-    """
-
+    # Convention of the joints' names, one of ``CONVENTIONS``; None is customary for the target, or
+    # what the source says. ``opensim`` is for a .mot with OpenSim's coordinates.
     names: str | None = None
+    # Of the BVH file, of the one written if both are; None is metres when written, inferred by the
+    # body's size when read. Of a calibration that does not state its own.
     unit: str | None = None
-    rate: float | None = None
+    rate: float | None = None  # samples per second of the target; None keeps the source's times
+    # File whose skeleton the angles of a .mot are of; None where the source has one.
     body: Path | None = None
-    angles: str | None = None
-    up: str | None = None
+    angles: str | None = None  # of the .mot written, ``hinges`` or ``isb``; None is hinges
+    up: str | None = None  # vertical axis of the markers written, "z" or "y"; None is as they are
+    # Axis of a calibration's world that points up, a key of
+    # ``calibrations.registry.R_WORLD_OF_SOURCE_UP``; None is what its system documents.
     source_up: str | None = None
+    # Width and height of the pictures, pixels, of a calibration that does not state them.
     size: tuple[int, int] | None = None
 
 

@@ -21,17 +21,11 @@ END_POINTS = np.array([[0.1600, 0.5700], [0.1600, -0.5700], [0.6888, 0.4187], [0
 
 
 class Areas(NamedTuple):
-    """Points over hulls, by components: the K points of each come first.
+    """Points over hulls, by components: the K points of each come first."""
 
-    Attributes:
-        x: (K, ...).
-        y: (K, ...).
-        weights: (K, ...) the area that each point stands for, in the plane's unit squared.
-    """
-
-    x: Array
-    y: Array
-    weights: Array
+    x: Array  # (K, ...)
+    y: Array  # (K, ...)
+    weights: Array  # (K, ...) the area that each point stands for, in the plane's unit squared
 
 
 def area_points(x: Array, y: Array, radii: Array, along: int, across: int) -> Areas:

@@ -42,19 +42,12 @@ _UNUSUAL_COST = 1e-6
 
 
 class _Places(NamedTuple):
-    """Where the angles of J joints belong.
+    """Where the angles of J joints belong."""
 
-    Attributes:
-        middle: (J, 1, 3) of their ranges, radians; 0 where there is none.
-        half: (J, 1, 3) half of their ranges; infinite where there is none.
-        is_free: (J, 1, 3) whether there is none.
-        turns: (K, 3) whole turns that are tried.
-    """
-
-    middle: np.ndarray
-    half: np.ndarray
-    is_free: np.ndarray
-    turns: np.ndarray
+    middle: np.ndarray  # (J, 1, 3) of their ranges, radians; 0 where there is none
+    half: np.ndarray  # (J, 1, 3) half of their ranges; infinite where there is none
+    is_free: np.ndarray  # (J, 1, 3) whether there is none
+    turns: np.ndarray  # (K, 3) whole turns that are tried
 
     @classmethod
     def of(cls, ranges: np.ndarray) -> "_Places":

@@ -13,15 +13,10 @@ from jaxmocap.geometry.cameras import Camera, pixel_rays
 
 
 class Lines(NamedTuple):
-    """Lines, unique up to sign.
+    """Lines, unique up to sign."""
 
-    Attributes:
-        directions: (..., 3) n, of length 1.
-        moments: (..., 3) m = x x n for any point x on the line, metres.
-    """
-
-    directions: Array
-    moments: Array
+    directions: Array  # (..., 3) n, of length 1
+    moments: Array  # (..., 3) m = x x n for any point x on the line, metres
 
 
 def lines_through(points: Array, directions: Array) -> Lines:

@@ -18,31 +18,19 @@ from jaxmocap.geometry.cameras import NEAREST_M, normalise
 
 
 class Discs(NamedTuple):
-    """Two discs whose convex hull is a limb, on a plane (unitless at z = 1, or pixels).
+    """Two discs whose convex hull is a limb, on a plane (unitless at z = 1, or pixels)."""
 
-    Attributes:
-        near: (..., 2) centre at the joint.
-        far: (..., 2) centre at the far end.
-        radii: (..., 2) of the two.
-    """
-
-    near: Array
-    far: Array
-    radii: Array
+    near: Array  # (..., 2) centre at the joint
+    far: Array  # (..., 2) centre at the far end
+    radii: Array  # (..., 2) of the two
 
 
 class Outline(NamedTuple):
-    """Points on the hull.
+    """Points on the hull."""
 
-    Attributes:
-        points: (..., K, 2).
-        weights: (..., K) the length of outline that each point stands for, in the plane's unit.
-        normals: (..., K, 2) unit, outwards.
-    """
-
-    points: Array
-    weights: Array
-    normals: Array
+    points: Array  # (..., K, 2)
+    weights: Array  # (..., K) the length of outline that each point stands for, in the plane's unit
+    normals: Array  # (..., K, 2) unit, outwards
 
 
 def project_limb(near_cam: Array, far_cam: Array, radii: Array) -> Discs:
@@ -70,20 +58,13 @@ class Pieces(NamedTuple):
 
     Arrays of two are slow to work through, and those of the hulls are long. So a thousand hulls of
     a moment are a thousand numbers side by side.
-
-    Attributes:
-        x: (2, K, ...) of the points.
-        y: (2, K, ...).
-        weights: (2, 1, ...) the length of outline that each point stands for.
-        normal_x: (2, 1, ...) or (2, K, ...) unit, outwards.
-        normal_y: the same.
     """
 
-    x: Array
-    y: Array
-    weights: Array
-    normal_x: Array
-    normal_y: Array
+    x: Array  # (2, K, ...) of the points
+    y: Array  # (2, K, ...)
+    weights: Array  # (2, 1, ...) the length of outline that each point stands for
+    normal_x: Array  # (2, 1, ...) or (2, K, ...) unit, outwards
+    normal_y: Array  # the same
 
 
 def outline_pieces(
@@ -180,49 +161,29 @@ def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
 
 
 class Touch(NamedTuple):
-    """Where the hull's outline is nearest to points: on the circle about one place of its axis.
+    """Where the hull's outline is nearest to points: on the circle about one place of its axis."""
 
-    Attributes:
-        along: (...) fraction of the axis, 0 at the near disc.
-        distance: (...) to the outline, negative inside.
-        normal_x: (...) of the unit vector from the axis' place to the point.
-        normal_y: (...).
-    """
-
-    along: Array
-    distance: Array
-    normal_x: Array
-    normal_y: Array
+    along: Array  # (...) fraction of the axis, 0 at the near disc
+    distance: Array  # (...) to the outline, negative inside
+    normal_x: Array  # (...) of the unit vector from the axis' place to the point
+    normal_y: Array  # (...)
 
 
 class Swept(NamedTuple):
-    """What touching a limb takes; once for all points, since a raster has thousands of them.
+    """What touching a limb takes; once for all points, since a raster has thousands of them."""
 
-    Attributes:
-        x: (...) centre of the near disc.
-        y: (...).
-        axis_x: (...) of the unit vector from there to the far disc.
-        axis_y: (...).
-        length: (...) of the axis.
-        per_length: (...) 1 / length.
-        lag: (...) by how much of the axis a touch stays behind for each unit aside of it.
-        first: (...) where on the axis touches begin, a fraction: 0; end-on that of the larger disc.
-        last: (...) where they end: 1; end-on likewise.
-        radius: (...) of the near disc.
-        gap: (...) by which it is larger than the far one's.
-    """
-
-    x: Array
-    y: Array
-    axis_x: Array
-    axis_y: Array
-    length: Array
-    per_length: Array
-    lag: Array
+    x: Array  # (...) centre of the near disc
+    y: Array  # (...)
+    axis_x: Array  # (...) of the unit vector from there to the far disc
+    axis_y: Array  # (...)
+    length: Array  # (...) of the axis
+    per_length: Array  # (...) 1 / length
+    lag: Array  # (...) by how much of the axis a touch stays behind for each unit aside of it
+    # (...) where on the axis touches begin, a fraction: 0; end-on that of the larger disc.
     first: Array
-    last: Array
-    radius: Array
-    gap: Array
+    last: Array  # (...) where they end: 1; end-on likewise
+    radius: Array  # (...) of the near disc
+    gap: Array  # (...) by which it is larger than the far one's
 
 
 def swept(discs: Discs) -> Swept:

@@ -30,15 +30,10 @@ class Rows(Protocol):
 
 @dataclass(frozen=True)
 class ComputedRows:
-    """An array (T, ...) whose rows are computed whenever they are asked for.
+    """An array (T, ...) whose rows are computed whenever they are asked for."""
 
-    Attributes:
-        shape: of the array.
-        compute: slice or indices of rows -> these rows.
-    """
-
-    shape: tuple[int, ...]
-    compute: Callable[[Index], np.ndarray]
+    shape: tuple[int, ...]  # of the array
+    compute: Callable[[Index], np.ndarray]  # slice or indices of rows -> these rows
 
     def __getitem__(self, rows: Index | int) -> np.ndarray:
         """Some of its rows, or one."""

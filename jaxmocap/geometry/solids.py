@@ -12,17 +12,11 @@ CORNERS, RINGS = 20, 6
 
 
 class Solid(NamedTuple):
-    """A closed mesh of V vertices and F triangles.
+    """A closed mesh of V vertices and F triangles."""
 
-    Attributes:
-        vertices: (V, 3) in the bone's frame, metres.
-        normals: (V, 3) unit, outward.
-        triangles: (F, 3) vertex indices, counter-clockwise from outside.
-    """
-
-    vertices: np.ndarray
-    normals: np.ndarray
-    triangles: np.ndarray
+    vertices: np.ndarray  # (V, 3) in the bone's frame, metres
+    normals: np.ndarray  # (V, 3) unit, outward
+    triangles: np.ndarray  # (F, 3) vertex indices, counter-clockwise from outside
 
 
 def limb_solid(reach: np.ndarray, radii: np.ndarray) -> Solid:

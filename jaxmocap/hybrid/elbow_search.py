@@ -28,22 +28,15 @@ from jaxmocap.hybrid.settings import ElbowSearchSettings, Settings
 
 
 class ElbowBelief(NamedTuple):
-    """Where each arm's forearm may be, left and right: a discrete Bayes filter's state.
+    """Where each arm's forearm may be, left and right: a discrete Bayes filter's state."""
 
-    Attributes:
-        log_weights: (2, K) of the candidates, largest 0.
-        turn: (2, 3) rotation vector from the markers' forearm to the expected one, in the
-            markers' forearm's frame, radians.
-        deviation: (2,) standard deviation of the elbow, metres.
-        age: () of the last image, seconds.
-        pose: the last refined one.
-    """
-
-    log_weights: Array
+    log_weights: Array  # (2, K) of the candidates, largest 0
+    # (2, 3) rotation vector from the markers' forearm to the expected one, in the markers'
+    # forearm's frame, radians.
     turn: Array
-    deviation: Array
-    age: Array
-    pose: Pose
+    deviation: Array  # (2,) standard deviation of the elbow, metres
+    age: Array  # () of the last image, seconds
+    pose: Pose  # the last refined one
 
 
 R_TURNS = Rotation.from_rotvec(TURNS).as_matrix()

@@ -21,15 +21,10 @@ from jaxmocap.hybrid.settings import IKSettings
 
 
 class FootPlacement(NamedTuple):
-    """Where the feet stand.
+    """Where the feet stand."""
 
-    Attributes:
-        ankles: (2, 3) left and right, world, metres.
-        overstretched: () whether an unmarked foot was missed in the last frame.
-    """
-
-    ankles: Array
-    overstretched: Array
+    ankles: Array  # (2, 3) left and right, world, metres
+    overstretched: Array  # () whether an unmarked foot was missed in the last frame
 
 
 def replant(

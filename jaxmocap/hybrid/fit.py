@@ -34,19 +34,12 @@ HELD = 1e-3
 
 
 class Aims(NamedTuple):
-    """What the body is to meet beside the edges.
+    """What the body is to meet beside the edges."""
 
-    Attributes:
-        goals: markers and unmarked feet.
-        elbows: (2, 3) of the search, world, metres.
-        centre: the pose that the priors are about.
-        free: (6 + D,) degrees of freedom that may move; all where it is None.
-    """
-
-    goals: Goals
-    elbows: Array
-    centre: Pose
-    free: Array | None
+    goals: Goals  # markers and unmarked feet
+    elbows: Array  # (2, 3) of the search, world, metres
+    centre: Pose  # the pose that the priors are about
+    free: Array | None  # (6 + D,) degrees of freedom that may move; all where it is None
 
 
 def no_status() -> Array:
@@ -115,17 +108,13 @@ def _descended(
 
 
 class _FromStart(NamedTuple):
-    """What the residuals depend on, and poses by their way from the start.
-
-    Attributes:
-        scale: (6 + D,) of the tangent vector whose entry of the descent's point is 1.
-    """
+    """What the residuals depend on, and poses by their way from the start."""
 
     model: Model
     terms: tuple[Term, ...]
     measured: Measurements
     start: Pose
-    scale: Array
+    scale: Array  # (6 + D,) of the tangent vector whose entry of the descent's point is 1
 
     def pose(self, point: Array) -> Pose:
         """The pose at a point (6 + D,) of the descent."""

@@ -35,21 +35,13 @@ FAR_OFF, WELL_MET = 0.1, 0.3
 
 
 class IKResult(NamedTuple):
-    """How a solve ended.
+    """How a solve ended."""
 
-    Attributes:
-        pose: that meets the targets.
-        feet: where they stand.
-        distances: (M + F,) metres from effector to goal; 0 where there is none.
-        planted: () whether the feet were planted again in this frame.
-        placed: () whether the body was placed again.
-    """
-
-    pose: Pose
-    feet: FootPlacement
-    distances: Array
-    planted: Array
-    placed: Array
+    pose: Pose  # that meets the targets
+    feet: FootPlacement  # where they stand
+    distances: Array  # (M + F,) metres from effector to goal; 0 where there is none
+    planted: Array  # () whether the feet were planted again in this frame
+    placed: Array  # () whether the body was placed again
 
 
 def solve_ik(

@@ -41,14 +41,10 @@ ROUNDS = 3
 
 
 class Another(NamedTuple):
-    """Where to descend from as well.
+    """Where to descend from as well."""
 
-    Attributes:
-        start: another pose.
-        above: () cost of the first descent's end above which it is tried; the better end is taken.
-    """
-
-    start: Pose
+    start: Pose  # another pose
+    # () cost of the first descent's end above which it is tried; the better end is taken.
     above: Array
 
 

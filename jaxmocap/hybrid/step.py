@@ -64,17 +64,12 @@ class State(NamedTuple):
 
 
 class EventFields(NamedTuple):
-    """Fields of C cameras at some events, each kept once.
+    """Fields of C cameras at some events, each kept once."""
 
-    Attributes:
-        distances: (F + 1, C, 2, K, S, S) of F events with an image; the first is of no image.
-        available: (F + 1, C, 2) whether there is an image.
-        which: (E,) which of them belongs to an event; 0 for none.
-    """
-
+    # (F + 1, C, 2, K, S, S) of F events with an image; the first is of no image.
     distances: Array | np.ndarray
-    available: Array | np.ndarray
-    which: Array | np.ndarray
+    available: Array | np.ndarray  # (F + 1, C, 2) whether there is an image
+    which: Array | np.ndarray  # (E,) which of them belongs to an event; 0 for none
 
     @classmethod
     def of(cls, nothing: EdgeFields, each: Sequence[EdgeFields | None]) -> "EventFields":
@@ -150,19 +145,12 @@ def refine_one(model: Model, settings: Settings, *rest: Any) -> tuple:
 
 
 class RefineInputs(NamedTuple):
-    """What ``refine_event`` needs of E events.
+    """What ``refine_event`` needs of E events."""
 
-    Attributes:
-        solved: (E, ...) of ``solve_events``.
-        markers: (E, M, 3) as there.
-        fields: what the cameras measured; None without cameras.
-        elapsed: (E,) seconds since the event before.
-    """
-
-    solved: Solved
-    markers: Array | np.ndarray
-    fields: EventFields | None
-    elapsed: Array | np.ndarray
+    solved: Solved  # (E, ...) of ``solve_events``
+    markers: Array | np.ndarray  # (E, M, 3) as there
+    fields: EventFields | None  # what the cameras measured; None without cameras
+    elapsed: Array | np.ndarray  # (E,) seconds since the event before
 
 
 def refine_events(
@@ -209,19 +197,12 @@ Images = Sequence[np.ndarray | None]
 
 
 class Chunk(NamedTuple):
-    """Some events that ``scan`` went through.
-
-    Attributes:
-        events: which.
-        poses: (E, ...) refined.
-        reports: (E, ...).
-        frames: how many of them have an image.
-    """
+    """Some events that ``scan`` went through."""
 
     events: range
-    poses: Pose
-    reports: StepReport
-    frames: int
+    poses: Pose  # (E, ...) refined
+    reports: StepReport  # (E, ...)
+    frames: int  # how many of them have an image
 
 
 class ChunkedEvents:

@@ -36,17 +36,11 @@ ROWS = 8
 
 @dataclass(frozen=True)
 class Background:
-    """What the camera sees where nobody stands.
+    """What the camera sees where nobody stands."""
 
-    Attributes:
-        colour: (h, w, 3) float32, grey levels in the frames' own order of channels.
-        noise: (h, w) float32, standard deviation of each channel, grey levels.
-        certainty: (h, w) float32, 0 to 1: of having observed the pixel without the person.
-    """
-
-    colour: np.ndarray
-    noise: np.ndarray
-    certainty: np.ndarray
+    colour: np.ndarray  # (h, w, 3) float32, grey levels in the frames' own order of channels
+    noise: np.ndarray  # (h, w) float32, standard deviation of each channel, grey levels
+    certainty: np.ndarray  # (h, w) float32, 0 to 1: of having observed the pixel without the person
 
     def part(self, rows_columns: tuple[slice, slice]) -> "Background":
         """Some rows and columns of it."""
@@ -218,16 +212,11 @@ class RunningBackground:
     A running mean at first, an exponential one of about ``memory`` sightings later, whose steps are
     bounded, since a median needs all the frames at once. Where nothing agrees with it for so long
     that the camera must have been moved, it starts again.
-
-    Attributes:
-        memory: sightings after which earlier ones fade.
-        enough: sightings after which a pixel is certain.
-        patience: frames in a row that may disagree.
     """
 
-    memory: float = 300.0
-    enough: float = 6.0
-    patience: int = 30
+    memory: float = 300.0  # sightings after which earlier ones fade
+    enough: float = 6.0  # sightings after which a pixel is certain
+    patience: int = 30  # frames in a row that may disagree
     _counts: np.ndarray | None = field(default=None, repr=False)
     _colour: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
     _noise: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)

@@ -20,21 +20,13 @@ FARTHEST = 32.0
 
 
 class Canvas(NamedTuple):
-    """What one camera shows on S x S cells.
+    """What one camera shows on S x S cells."""
 
-    Attributes:
-        colour: (S, S, 3) uint8, BGR.
-        inside: (S, S) float32, 0 to 1, how far the cell lies within the image.
-        room: (S, S, 3) uint8, the background's colour.
-        noise: (S, S) float32, its deviation.
-        certainty: (S, S) float32, 0 to 1, of the background.
-    """
-
-    colour: np.ndarray
-    inside: np.ndarray
-    room: np.ndarray
-    noise: np.ndarray
-    certainty: np.ndarray
+    colour: np.ndarray  # (S, S, 3) uint8, BGR
+    inside: np.ndarray  # (S, S) float32, 0 to 1, how far the cell lies within the image
+    room: np.ndarray  # (S, S, 3) uint8, the background's colour
+    noise: np.ndarray  # (S, S) float32, its deviation
+    certainty: np.ndarray  # (S, S) float32, 0 to 1, of the background
 
 
 def canvas(

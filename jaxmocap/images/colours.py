@@ -23,27 +23,19 @@ EVEN_SHARE = 1e-4
 
 @dataclass(frozen=True)
 class Colours:
-    """How likely colours are, per cubic grey level: (BINS,) float32 each, never 0.
+    """How likely colours are, per cubic grey level: (BINS,) float32 each, never 0."""
 
-    Attributes:
-        body: of the person.
-        rest: of everything else.
-    """
-
-    body: np.ndarray
-    rest: np.ndarray
+    body: np.ndarray  # of the person
+    rest: np.ndarray  # of everything else
 
 
 @dataclass
 class RunningColours:
-    """Colours that only look back: fed frame by frame, at any time ready to be used.
+    """Colours that only look back: fed frame by frame, at any time ready to be used."""
 
-    Attributes:
-        body: (BINS,) pixels of the person so far.
-        rest: (BINS,) of everything else.
-    """
-
+    # (BINS,) pixels of the person so far.
     body: np.ndarray = field(default_factory=lambda: np.zeros(BINS), repr=False)
+    # (BINS,) of everything else.
     rest: np.ndarray = field(default_factory=lambda: np.zeros(BINS), repr=False)
 
     def update(self, frame: np.ndarray, core: np.ndarray, body: np.ndarray) -> None:

@@ -10,17 +10,11 @@ import numpy as np
 
 
 class Crop(NamedTuple):
-    """A part of an image, resampled.
+    """A part of an image, resampled."""
 
-    Attributes:
-        image: (h, w, 3) uint8.
-        corner_xy: (2,) pixels of the image where the crop's pixel (0, 0) lies.
-        scale: pixels of the image to one of the crop.
-    """
-
-    image: np.ndarray
-    corner_xy: np.ndarray
-    scale: float
+    image: np.ndarray  # (h, w, 3) uint8
+    corner_xy: np.ndarray  # (2,) pixels of the image where the crop's pixel (0, 0) lies
+    scale: float  # pixels of the image to one of the crop
 
     def pixels_of(self, points_xy: np.ndarray) -> np.ndarray:
         """Pixels (..., 2) of the crop as pixels of the image."""

@@ -57,15 +57,10 @@ class EdgeSettings:
 
 
 class Thresholds(NamedTuple):
-    """What the next frame begins with; None before the first.
+    """What the next frame begins with; None before the first."""
 
-    Attributes:
-        low_high: (2,) Canny's thresholds by percentiles.
-        levels: (256,) that equalise the histogram, by grey.
-    """
-
-    low_high: np.ndarray | None = None
-    levels: np.ndarray | None = None
+    low_high: np.ndarray | None = None  # (2,) Canny's thresholds by percentiles
+    levels: np.ndarray | None = None  # (256,) that equalise the histogram, by grey
 
 
 class Edges(NamedTuple):

@@ -19,15 +19,11 @@ LARGEST_SIDE = 8
 
 
 class Region(NamedTuple):
-    """A square window of ``size`` x ``size`` samples on an image.
+    """A square window of ``size`` x ``size`` samples on an image."""
 
-    Attributes:
-        origin: (..., 2) pixel (x, y) of the window's left upper corner (pixel edge, whole - 0.5).
-        scale: (...) image pixels per sample.
-    """
-
+    # (..., 2) pixel (x, y) of the window's left upper corner (pixel edge, whole - 0.5).
     origin: Array | np.ndarray
-    scale: Array | np.ndarray
+    scale: Array | np.ndarray  # (...) image pixels per sample
 
 
 def region_around(

@@ -27,15 +27,10 @@ MOST_LIMBS = 32
 
 
 class Grid(NamedTuple):
-    """A measured silhouette on S x S cells.
+    """A measured silhouette on S x S cells."""
 
-    Attributes:
-        probability: (..., S, S) that the cell shows the limbs, 0 to 1.
-        weight: (..., S, S) how much the cell counts; 0 where nothing was measured.
-    """
-
-    probability: Array | np.ndarray
-    weight: Array | np.ndarray
+    probability: Array | np.ndarray  # (..., S, S) that the cell shows the limbs, 0 to 1
+    weight: Array | np.ndarray  # (..., S, S) how much the cell counts; 0 where nothing was measured
 
 
 def blurred(grid: Grid, softness: float) -> Grid:
@@ -68,17 +63,11 @@ def halved(grid: Grid) -> Grid:
 
 
 class CoverageFit(NamedTuple):
-    """Sum of squared differences over K limbs, about their present places.
+    """Sum of squared differences over K limbs, about their present places."""
 
-    Attributes:
-        cost: () r^T r.
-        hessian: (K, 6, 6) J^T J; limbs do not share cells, so there is nothing between them.
-        gradient: (K, 6) J^T r.
-    """
-
-    cost: Array
-    hessian: Array
-    gradient: Array
+    cost: Array  # () r^T r
+    hessian: Array  # (K, 6, 6) J^T J; limbs do not share cells, so there is nothing between them
+    gradient: Array  # (K, 6) J^T r
 
 
 def cells(size: int, dtype: jnp.dtype) -> tuple[Array, Array]:

@@ -26,16 +26,11 @@ SMALLEST_SHARE = 0.06
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """The L landmarks over T samples.
+    """The L landmarks over T samples."""
 
-    Attributes:
-        times: (T,) seconds.
-        centres: (T, L, 3) world, metres.
-        deviations: (T, L, 3) standard deviations along the world's axes, metres; NaN unknown.
-    """
-
-    times: np.ndarray
-    centres: np.ndarray
+    times: np.ndarray  # (T,) seconds
+    centres: np.ndarray  # (T, L, 3) world, metres
+    # (T, L, 3) standard deviations along the world's axes, metres; NaN unknown.
     deviations: np.ndarray
 
     def part(self, rows: slice) -> "Uncertainty":

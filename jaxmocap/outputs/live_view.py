@@ -31,21 +31,13 @@ JPEG_QUALITY = 60
 
 
 class LiveSnapshot(NamedTuple):
-    """What is shown of one moment.
+    """What is shown of one moment."""
 
-    Attributes:
-        time: seconds.
-        pose: of the person.
-        deviations: (2,) standard deviations of the elbows, metres; NaN where unknown.
-        latency_ms: from the sample to the pose.
-        images: camera -> newest image (H, W, 3) BGR.
-    """
-
-    time: float
+    time: float  # seconds
     pose: Pose
-    deviations: np.ndarray
-    latency_ms: float
-    images: Mapping[str, np.ndarray]
+    deviations: np.ndarray  # (2,) standard deviations of the elbows, metres; NaN where unknown
+    latency_ms: float  # from the sample to the pose
+    images: Mapping[str, np.ndarray]  # camera -> newest image (H, W, 3) BGR
 
 
 class LiveView:

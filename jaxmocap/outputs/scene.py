@@ -41,23 +41,14 @@ POINTS_AROUND = 12
 
 @dataclass(frozen=True)
 class BodyScene:
-    """A body of B bones over T samples, in the world.
+    """A body of B bones over T samples, in the world."""
 
-    Attributes:
-        tree: names and kinds of the bones.
-        times: (T,) seconds.
-        R_world_bone: (T, B, 3, 3) orientations.
-        near: (T, B, 3) the bones' joints, world, metres.
-        far: (T, B, 3) the bones' far ends, world, metres.
-        radii: (B, 2) of the flesh at both ends, metres.
-    """
-
-    tree: Tree
-    times: np.ndarray
-    R_world_bone: np.ndarray
-    near: np.ndarray
-    far: np.ndarray
-    radii: np.ndarray
+    tree: Tree  # names and kinds of the bones
+    times: np.ndarray  # (T,) seconds
+    R_world_bone: np.ndarray  # (T, B, 3, 3) orientations
+    near: np.ndarray  # (T, B, 3) the bones' joints, world, metres
+    far: np.ndarray  # (T, B, 3) the bones' far ends, world, metres
+    radii: np.ndarray  # (B, 2) of the flesh at both ends, metres
 
     def part(self, rows: slice) -> "BodyScene":
         """Some of the samples."""
@@ -153,17 +144,11 @@ MARGIN_M, LARGEST_M = 1.5, 25.0
 
 
 class Floor(NamedTuple):
-    """A level square.
+    """A level square."""
 
-    Attributes:
-        height_m: along the world's z.
-        centre_xy: (2,) of it.
-        half_size_m: half its side.
-    """
-
-    height_m: float
-    centre_xy: np.ndarray
-    half_size_m: float
+    height_m: float  # along the world's z
+    centre_xy: np.ndarray  # (2,) of it
+    half_size_m: float  # half its side
 
 
 def floor_of(scene: BodyScene, pieces: Mapping[str, Solid]) -> Floor | None:

@@ -33,16 +33,12 @@ SAMPLES_AT_ONCE = 1024
 
 @dataclass(frozen=True)
 class Footage:
-    """The frames of one camera, which are iterated over once, and its fields.
+    """The frames of one camera, which are iterated over once, and its fields."""
 
-    Attributes:
-        camera: its calibration.
-        frames: seconds of marker time, rising, and image (H, W, 3) BGR uint8 or None.
-        fields: name -> time and (h, w) uint8 image, such as an arm's edges or distance field.
-    """
-
-    camera: Camera
+    camera: Camera  # its calibration
+    # Seconds of marker time, rising, and image (H, W, 3) BGR uint8 or None.
     frames: Iterable[tuple[float, np.ndarray | None]]
+    # Name -> time and (h, w) uint8 image, such as an arm's edges or distance field.
     fields: Mapping[str, Iterable[tuple[float, np.ndarray]]] = field(default_factory=dict)
 
 

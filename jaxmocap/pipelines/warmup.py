@@ -41,20 +41,13 @@ CACHE_HIT_EVENT = "/jax/compilation_cache/cache_hits"
 
 @dataclass
 class CompilationCounts:
-    """What compiling for one mode of tracking took.
+    """What compiling for one mode of tracking took."""
 
-    Attributes:
-        mode: its name in the output.
-        seconds: in all, tracing and half a second of tracking included.
-        programs: that it needs and that were not yet in this process.
-        from_cache: how many of them an earlier run had compiled.
-        longest_s: name -> seconds that the compiler took, the longest first.
-    """
-
-    mode: str
-    seconds: float = 0.0
-    programs: int = 0
-    from_cache: int = 0
+    mode: str  # its name in the output
+    seconds: float = 0.0  # in all, tracing and half a second of tracking included
+    programs: int = 0  # that it needs and that were not yet in this process
+    from_cache: int = 0  # how many of them an earlier run had compiled
+    # Name -> seconds that the compiler took, the longest first.
     longest_s: dict[str, float] = field(default_factory=dict)
 
     def text(self) -> str:

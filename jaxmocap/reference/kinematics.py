@@ -34,19 +34,12 @@ LANDMARK_ENDS = {
 
 
 class Frames(NamedTuple):
-    """Where the bones are, for B bones and D degrees of freedom.
+    """Where the bones are, for B bones and D degrees of freedom."""
 
-    Attributes:
-        root: (3,) position of the pelvis in the world, metres.
-        R_world_bone: (B, 3, 3) orientations.
-        joints_world: (B, 3) positions of the bones' joints, metres.
-        axes_world: (D, 3) hinge axes v_j of equation (4).
-    """
-
-    root: np.ndarray
-    R_world_bone: np.ndarray
-    joints_world: np.ndarray
-    axes_world: np.ndarray
+    root: np.ndarray  # (3,) position of the pelvis in the world, metres
+    R_world_bone: np.ndarray  # (B, 3, 3) orientations
+    joints_world: np.ndarray  # (B, 3) positions of the bones' joints, metres
+    axes_world: np.ndarray  # (D, 3) hinge axes v_j of equation (4)
 
 
 def turned(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:

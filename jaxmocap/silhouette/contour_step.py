@@ -36,35 +36,22 @@ class Rays(NamedTuple):
 
 
 class SpaceContour(NamedTuple):
-    """P points of the object for each of C cameras, padded; metres or another unit.
+    """P points of the object for each of C cameras, padded; metres or another unit."""
 
-    Attributes:
-        points: (C, P, 3).
-        after: (C, P, 3) the end of the stretch that begins at each point; the point for none.
-        tangents: (C, P, 3) along the contour, of any length.
-        real: (C, P).
-    """
-
-    points: Array
-    after: Array
-    tangents: Array
-    real: Array
+    points: Array  # (C, P, 3)
+    after: Array  # (C, P, 3) the end of the stretch that begins at each point; the point for none
+    tangents: Array  # (C, P, 3) along the contour, of any length
+    real: Array  # (C, P)
 
 
 class StepWeights(NamedTuple):
-    """What pairs count; traced.
+    """What pairs count; traced."""
 
-    Attributes:
-        along: of pairs along the contour, by that across.
-        deviation: least spread of pairs, by the object's radius.
-        reach: a pair farther off than this many spreads is an outlier; infinite for none.
-        damping: share of all pairs' weight that holds what no ray determines.
-    """
-
-    along: Array | float
-    deviation: Array | float
+    along: Array | float  # of pairs along the contour, by that across
+    deviation: Array | float  # least spread of pairs, by the object's radius
+    # A pair farther off than this many spreads is an outlier; infinite for none.
     reach: Array | float
-    damping: Array | float
+    damping: Array | float  # share of all pairs' weight that holds what no ray determines
 
 
 def contour_of_wire(points: Array, cameras: int) -> SpaceContour:

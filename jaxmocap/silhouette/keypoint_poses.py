@@ -91,19 +91,12 @@ class KeypointPoseSettings:
 
 
 class KeypointPoses(NamedTuple):
-    """T frames by key points.
+    """T frames by key points."""
 
-    Attributes:
-        poses: (T, ...).
-        costs: (T,) of each frame's terms.
-        skeleton: of the person, its lengths corrected.
-        lines: (T, ...) with confidences by how much each camera's landmarks scatter.
-    """
-
-    poses: Pose
-    costs: np.ndarray
-    skeleton: Skeleton
-    lines: SightLines
+    poses: Pose  # (T, ...)
+    costs: np.ndarray  # (T,) of each frame's terms
+    skeleton: Skeleton  # of the person, its lengths corrected
+    lines: SightLines  # (T, ...) with confidences by how much each camera's landmarks scatter
 
 
 def poses_of_lines(

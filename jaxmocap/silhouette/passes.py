@@ -35,40 +35,26 @@ CameraFrame = tuple[np.ndarray, np.ndarray, Region, np.ndarray]
 
 
 class FrameBundle(NamedTuple):
-    """What all cameras bring for one instant.
+    """What all cameras bring for one instant."""
 
-    Attributes:
-        time: seconds.
-        images: (H, W, 3) BGR uint8 of each of C cameras, None where there is none.
-        measured: besides, see ``term_evidence``.
-        expected: where key points have the person, where they do.
-    """
-
-    time: float
+    time: float  # seconds
+    # (H, W, 3) BGR uint8 of each of C cameras, None where there is none.
     images: Sequence[np.ndarray | None]
-    measured: Measurements
-    expected: Pose | None = None
+    measured: Measurements  # besides, see ``term_evidence``
+    expected: Pose | None = None  # where key points have the person, where they do
 
 
 @dataclass
 class PassResult:
-    """What a pass found in F frames.
+    """What a pass found in F frames."""
 
-    Attributes:
-        body: as the pass had it.
-        times: (F,) seconds.
-        estimates: F of them.
-        reports: F, without what is large.
-        level_sets: F times (C, S, S) int8, ``PHI_STEPS`` to a cell, positive within the person.
-        milliseconds: F that the frames took.
-    """
-
-    body: TrackedBody
-    times: list[float] = field(default_factory=list)
-    estimates: list[PoseEstimate] = field(default_factory=list)
-    reports: list[StepReport] = field(default_factory=list)
+    body: TrackedBody  # as the pass had it
+    times: list[float] = field(default_factory=list)  # (F,) seconds
+    estimates: list[PoseEstimate] = field(default_factory=list)  # F of them
+    reports: list[StepReport] = field(default_factory=list)  # F, without what is large
+    # F times (C, S, S) int8, ``PHI_STEPS`` to a cell, positive within the person.
     level_sets: list[np.ndarray] = field(default_factory=list)
-    milliseconds: list[float] = field(default_factory=list)
+    milliseconds: list[float] = field(default_factory=list)  # F that the frames took
 
     @property
     def is_anybody_visible(self) -> bool:

@@ -28,22 +28,15 @@ class PointRays(NamedTuple):
     Where the ray belongs to a contour, its point is measured across the contour and not along it:
     ``across`` is the contour's normal in space and ``along_weights`` the other direction's weights.
     With weights of 1 this is the incidence of (3.11), whatever ``across``.
-
-    Attributes:
-        points: of the body.
-        lines: in the world, (N).
-        across: (N, 3) unit vectors at right angles to their lines.
-        weights: (N,) 0 where there is no pair, whatever the other fields then hold.
-        along_weights: (N,) from 0 to 1.
-        moves: (N, 3, S) of the points by drivers of 1, metres in their bones' frames, see
-            ``morph``; None where nothing drives them.
     """
 
     points: BodyPoints
-    lines: Lines
-    across: Array
-    weights: Array
-    along_weights: Array
+    lines: Lines  # in the world, (N)
+    across: Array  # (N, 3) unit vectors at right angles to their lines
+    weights: Array  # (N,) 0 where there is no pair, whatever the other fields then hold
+    along_weights: Array  # (N,) from 0 to 1
+    # (N, 3, S) of the points by drivers of 1, metres in their bones' frames, see ``morph``; None
+    # where nothing drives them.
     moves: Array | np.ndarray | None = None
 
 

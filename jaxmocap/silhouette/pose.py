@@ -49,25 +49,20 @@ ROUNDS = 3
 
 
 class PoseSettings(NamedTuple):
-    """What a user may tune; traced.
+    """What a user may tune; traced."""
 
-    Attributes:
-        deviation: least standard deviation of a point about its ray, metres: rejection never takes
-            a spread smaller than this for the truth. While a pose is far off, let it be large: a
-            limb that moved fast is an outlier to the rest, and would be left behind.
-        reach: points farther off than this many deviations are outliers (Tukey's constant).
-        damping: deviation of one step, radians and metres, where nothing else determines it.
-        largest_step: no iteration turns or shifts anything farther, radians and metres.
-        rest: a step smaller than this ends the iteration, radians and metres.
-        iterations: at most.
-    """
-
+    # Least standard deviation of a point about its ray, metres: rejection never takes a spread
+    # smaller than this for the truth. While a pose is far off, let it be large: a limb that moved
+    # fast is an outlier to the rest, and would be left behind.
     deviation: Array | float = 0.01
+    # Points farther off than this many deviations are outliers (Tukey's constant).
     reach: Array | float = 4.685
+    # Deviation of one step, radians and metres, where nothing else determines it.
     damping: Array | float = 1.0
+    # No iteration turns or shifts anything farther, radians and metres.
     largest_step: Array | float = 0.3
-    rest: Array | float = 1e-5
-    iterations: Array | int = 20
+    rest: Array | float = 1e-5  # a step smaller than this ends the iteration, radians and metres
+    iterations: Array | int = 20  # at most
 
 
 class Prior(NamedTuple):
@@ -84,16 +79,11 @@ class TermEvidence(NamedTuple):
     """What terms of evidence tell beside the rays, such as where markers were measured.
 
     They are believed however far they are: what is wrong with them is to be found before.
-
-    Attributes:
-        model: of the person and the markers.
-        terms: in any order.
-        measured: of this frame.
     """
 
-    model: Model
-    terms: Sequence[Term]
-    measured: Measurements
+    model: Model  # of the person and the markers
+    terms: Sequence[Term]  # in any order
+    measured: Measurements  # of this frame
 
     def equations(self, pose: Pose) -> tuple[Array, Array]:
         """Hessian (6 + D, 6 + D) and slope (6 + D,) of half the residuals' squares."""
@@ -108,28 +98,18 @@ class TermEvidence(NamedTuple):
 
 
 class PoseResult(NamedTuple):
-    """How a solve ended.
+    """How a solve ended."""
 
-    Attributes:
-        pose: that was found.
-        distances: (N,) of the points from their rays, metres; 0 for pairs of no weight.
-        shares: (N,) from 0, an outlier, to 1: what robust weighting leaves of a pair's weight.
-        spread: () deviation of the points about their rays, metres.
-        information: (6 + D, 6 + D) Hessian of half the weighted squares in deviations, without
-            prior or damping: its inverse is the covariance of what the rays tell.
-        slope: (6 + D,) of the same half squares, by the tangent vector of ``retract``.
-        iterations: () made.
-        status: () a Status.
-    """
-
-    pose: Pose
-    distances: Array
-    shares: Array
-    spread: Array
+    pose: Pose  # that was found
+    distances: Array  # (N,) of the points from their rays, metres; 0 for pairs of no weight
+    shares: Array  # (N,) from 0, an outlier, to 1: what robust weighting leaves of a pair's weight
+    spread: Array  # () deviation of the points about their rays, metres
+    # (6 + D, 6 + D) Hessian of half the weighted squares in deviations, without prior or damping:
+    # its inverse is the covariance of what the rays tell.
     information: Array
-    slope: Array
-    iterations: Array
-    status: Array
+    slope: Array  # (6 + D,) of the same half squares, by the tangent vector of ``retract``
+    iterations: Array  # () made
+    status: Array  # () a Status
 
 
 class _Normal(NamedTuple):

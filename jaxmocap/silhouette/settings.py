@@ -18,19 +18,16 @@ from jaxmocap.silhouette.surfaces.rim import RimSettings
 
 
 class Cycle(NamedTuple):
-    """A rim, its pairs with the contours, and a solve.
+    """A rim, its pairs with the contours, and a solve."""
 
-    Attributes:
-        deviation: of points about their rays, metres. At first it must be large: a limb that moved
-            fast is an outlier to the rest, and would be left behind. At last it is small: what
-            another limb's outline was taken for is an outlier then.
-        level: of the surface's low-passes (``RimSettings.levels``) that is matched; ``FULL`` for
-            all its frequencies.
-        segments: whether it begins with a segmentation; a frame's first does in any case.
-    """
-
+    # Of points about their rays, metres. At first it must be large: a limb that moved fast is an
+    # outlier to the rest, and would be left behind. At last it is small: what another limb's
+    # outline was taken for is an outlier then.
     deviation: float
+    # Of the surface's low-passes (``RimSettings.levels``) that is matched; ``FULL`` for all its
+    # frequencies.
     level: int = FULL
+    # Whether it begins with a segmentation; a frame's first does in any case.
     segments: bool = False
 
 

@@ -78,41 +78,27 @@ class _Terms(NamedTuple):
 
 
 class FrameInformation(NamedTuple):
-    """The evidence of the pairs of T frames.
+    """The evidence of the pairs of T frames."""
 
-    Attributes:
-        poses: (T, ...) as estimated.
-        information: (T, 6 + D, 6 + D) of ``PoseResult``; 0 where nothing was visible.
-        slope: (T, 6 + D) likewise.
-        spread: (T,) standard deviation of the pairs, metres.
-        cameras: (T,) how many counted.
-    """
-
-    poses: Pose
-    information: np.ndarray
-    slope: np.ndarray
-    spread: np.ndarray
-    cameras: np.ndarray
+    poses: Pose  # (T, ...) as estimated
+    information: np.ndarray  # (T, 6 + D, 6 + D) of ``PoseResult``; 0 where nothing was visible
+    slope: np.ndarray  # (T, 6 + D) likewise
+    spread: np.ndarray  # (T,) standard deviation of the pairs, metres
+    cameras: np.ndarray  # (T,) how many counted
 
 
 class PoseSmoothingSettings(NamedTuple):
-    """What a user may tune.
+    """What a user may tune."""
 
-    Attributes:
-        acceleration: deviation of the landmarks' accelerations, m / s^2 * sqrt(s), see
-            ``smoothness``, before the recording has shown how each moves, and at most.
-        own_share: what counts from then on, as a share of each landmark's own. Pairs that err alike
-            count as if they did not: less than 1 by as much.
-        least_acceleration: of it all the same, m / s^2 * sqrt(s).
-        rounds: times that accelerations are estimated.
-        pose_deviation: of a pose about the estimated one, metres and radians: farther off
-            the pairs would be others.
-    """
-
+    # Deviation of the landmarks' accelerations, m / s^2 * sqrt(s), see ``smoothness``, before the
+    # recording has shown how each moves, and at most.
     acceleration: float = 1.0
+    # What counts from then on, as a share of each landmark's own. Pairs that err alike count as if
+    # they did not: less than 1 by as much.
     own_share: float = 0.5
-    least_acceleration: float = 0.1
-    rounds: int = 3
+    least_acceleration: float = 0.1  # of it all the same, m / s^2 * sqrt(s)
+    rounds: int = 3  # times that accelerations are estimated
+    # Of a pose about the estimated one, metres and radians: farther off the pairs would be others.
     pose_deviation: float = 0.1
 
 

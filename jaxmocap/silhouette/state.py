@@ -23,110 +23,68 @@ from jaxmocap.silhouette.surfaces.shape import NodePairs
 
 
 class TrackerConstants(NamedTuple):
-    """What stays as it is for all frames and passes.
+    """What stays as it is for all frames and passes."""
 
-    Attributes:
-        cameras: C, stacked.
-        settings: how to work.
-        finder: of rims.
-        rest_deviations: (D,) of joints held about 0, radians; infinite for the others.
-        carriers: (M,) the bone that carries most of each node of the surface.
-    """
-
-    cameras: Camera
+    cameras: Camera  # C, stacked
     settings: Settings
-    finder: RimFinder
-    rest_deviations: np.ndarray
-    carriers: np.ndarray
+    finder: RimFinder  # of rims
+    rest_deviations: np.ndarray  # (D,) of joints held about 0, radians; infinite for the others
+    carriers: np.ndarray  # (M,) the bone that carries most of each node of the surface
 
 
 class TrackedBody(NamedTuple):
-    """Who is tracked.
+    """Who is tracked."""
 
-    Attributes:
-        shape: bones and surface.
-        model: bones, and where markers sit that are followed too.
-        recovery: of limbs of these bones' lengths.
-    """
-
-    shape: BodyShape
-    model: Model
-    recovery: LimbRecovery
+    shape: BodyShape  # bones and surface
+    model: Model  # bones, and where markers sit that are followed too
+    recovery: LimbRecovery  # of limbs of these bones' lengths
 
 
 class StepReport(NamedTuple):
-    """How a step went, and how well its pose is determined.
+    """How a step went, and how well its pose is determined."""
 
-    Attributes:
-        used: (C,) bool: cameras that counted.
-        matched_shares: (C,) of rim and contour that found a partner.
-        spread: standard deviation of the pairs, metres.
-        deviations: (6 + D,) standard deviations of the degrees of freedom, metres and radians.
-        observed: (6 + D,) bool: those that the images determine; the others keep their prediction.
-        information: (6 + D, 6 + D), see ``PoseResult``; by the pairs of parts that are visible.
-        slope: (6 + D,), likewise.
-        outlines: what was segmented.
-        relocated: (D,) bool: joints that a particle filter, or an earlier pass, put elsewhere.
-        hidden: (D,) bool: joints of parts that are not visible where the pose has them.
-        pairs: that the pose was fitted to.
-        revised: reports of the last frames, the oldest first, where this one withdraws what they
-            had of relocated joints; in place of theirs.
-    """
-
-    used: np.ndarray
-    matched_shares: np.ndarray
-    spread: float
+    used: np.ndarray  # (C,) bool: cameras that counted
+    matched_shares: np.ndarray  # (C,) of rim and contour that found a partner
+    spread: float  # standard deviation of the pairs, metres
+    # (6 + D,) standard deviations of the degrees of freedom, metres and radians.
     deviations: np.ndarray
+    # (6 + D,) bool: those that the images determine; the others keep their prediction.
     observed: np.ndarray
+    # (6 + D, 6 + D), see ``PoseResult``; by the pairs of parts that are visible.
     information: np.ndarray
-    slope: np.ndarray
-    outlines: Outlines
+    slope: np.ndarray  # (6 + D,), likewise
+    outlines: Outlines  # what was segmented
+    # (D,) bool: joints that a particle filter, or an earlier pass, put elsewhere.
     relocated: np.ndarray
-    hidden: np.ndarray
-    pairs: NodePairs
+    hidden: np.ndarray  # (D,) bool: joints of parts that are not visible where the pose has them
+    pairs: NodePairs  # that the pose was fitted to
+    # Reports of the last frames, the oldest first, where this one withdraws what they had of
+    # relocated joints; in place of theirs.
     revised: "tuple[StepReport, ...]" = ()
 
 
 class RecentFrame(NamedTuple):
-    """A frame that a later one may still revise.
+    """A frame that a later one may still revise."""
 
-    Attributes:
-        report: in full.
-        pose: as estimated.
-        measured: besides its images.
-    """
-
-    report: StepReport
-    pose: Pose
-    measured: Measurements
+    report: StepReport  # in full
+    pose: Pose  # as estimated
+    measured: Measurements  # besides its images
 
 
 class State(NamedTuple):
-    """What a tracker remembers: all of it.
+    """What a tracker remembers: all of it."""
 
-    Attributes:
-        pose: at ``time``.
-        velocity: (6 + D,) metres and radians per second.
-        time: seconds; None before the first frame.
-        histograms: of C cameras' images.
-        determined: (6 + D,) bool: degrees of freedom that the last frame determined well.
-        image_history: what the cameras showed last.
-        limbs: what is remembered of them.
-        body: who is tracked.
-        backgrounds: C models of what each camera shows where nobody stands; None where unknown.
-        recent: the last frames, the oldest first.
-    """
-
-    pose: Pose
-    velocity: np.ndarray
-    time: float | None
-    histograms: Histograms
-    determined: np.ndarray
+    pose: Pose  # at ``time``
+    velocity: np.ndarray  # (6 + D,) metres and radians per second
+    time: float | None  # seconds; None before the first frame
+    histograms: Histograms  # of C cameras' images
+    determined: np.ndarray  # (6 + D,) bool: degrees of freedom that the last frame determined well
     image_history: ImageHistory
     limbs: LimbMemory
     body: TrackedBody
+    # C models of what each camera shows where nobody stands; None where unknown.
     backgrounds: tuple[Background | None, ...]
-    recent: tuple[RecentFrame, ...] = ()
+    recent: tuple[RecentFrame, ...] = ()  # the last frames, the oldest first
 
 
 class PoseEstimate(NamedTuple):

@@ -63,13 +63,9 @@ DECISIONS = 2
 
 
 class VideoFrames(Protocol):
-    """A video whose frames can be gone through again and again.
+    """A video whose frames can be gone through again and again."""
 
-    Attributes:
-        size: width and height of the full frames.
-    """
-
-    size: tuple[int, int]
+    size: tuple[int, int]  # width and height of the full frames
 
     def frames(self) -> Iterator[tuple[float, np.ndarray | None]]:
         """Each frame's time and its BGR or grey image; None where it cannot be read."""
@@ -78,19 +74,12 @@ class VideoFrames(Protocol):
 
 @dataclass(frozen=True)
 class CameraFrames:
-    """One camera's frames among the events.
+    """One camera's frames among the events."""
 
-    Attributes:
-        camera: its index.
-        events: (F,) events that have a frame of it, ascending.
-        indices: (F,) which frames.
-        video: that they are of.
-    """
-
-    camera: int
-    events: np.ndarray
-    indices: np.ndarray
-    video: VideoFrames
+    camera: int  # its index
+    events: np.ndarray  # (F,) events that have a frame of it, ascending
+    indices: np.ndarray  # (F,) which frames
+    video: VideoFrames  # that they are of
 
     def images(self, chosen: np.ndarray) -> Iterator[np.ndarray | None]:
         """The chosen (of F) frames, shrunk, BGR; None where one cannot be read."""
@@ -107,15 +96,10 @@ class CameraFrames:
 
 
 class SolvedProblem(NamedTuple):
-    """A problem as it was last measured, and the trajectory that solves it.
+    """A problem as it was last measured, and the trajectory that solves it."""
 
-    Attributes:
-        problem: of all events.
-        trajectory: of them, drawn with the last softness of ``FINELY``.
-    """
-
-    problem: SmoothingProblem
-    trajectory: Trajectory
+    problem: SmoothingProblem  # of all events
+    trajectory: Trajectory  # of them, drawn with the last softness of ``FINELY``
 
 
 def smooth_recording(

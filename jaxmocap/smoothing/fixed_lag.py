@@ -82,22 +82,16 @@ LONGEST_GAP_S = 0.25
 
 
 class SmoothedPose(NamedTuple):
-    """A pose that stays as it is.
+    """A pose that stays as it is."""
 
-    Attributes:
-        number: of its event, counted from 0.
-        time: of its event, seconds.
-        pose: smoothed.
-        deviations: (L, 3) standard deviations of the landmarks' coordinates, world, metres; found
-            every ``SURE_EVERY`` video frames, or solves without video.
-        from_prior: (L,) 1 where markers and video leave a landmark almost as uncertain as it is
-            without them, else 0.
-    """
-
-    number: int
-    time: float
-    pose: Pose
+    number: int  # of its event, counted from 0
+    time: float  # of its event, seconds
+    pose: Pose  # smoothed
+    # (L, 3) standard deviations of the landmarks' coordinates, world, metres; found every
+    # ``SURE_EVERY`` video frames, or solves without video.
     deviations: np.ndarray
+    # (L,) 1 where markers and video leave a landmark almost as uncertain as it is without them,
+    # else 0.
     from_prior: np.ndarray
 
 

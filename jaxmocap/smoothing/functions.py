@@ -129,21 +129,13 @@ class _Problem(NamedTuple):
 
 
 class _Slopes(NamedTuple):
-    """The cost about poses.
+    """The cost about poses."""
 
-    Attributes:
-        cost: () half the sum of squares.
-        gradient: (T, N) the cost's.
-        hessian: (T, N, N) Gauss-Newton's of the events' own terms.
-        bending: (T, N, N) what that leaves out, and what landmarks bend by.
-        jacobian: (T, M, N) of the landmarks, which the prior ties.
-    """
-
-    cost: Array
-    gradient: Array
-    hessian: Array
-    bending: Array
-    jacobian: Array
+    cost: Array  # () half the sum of squares
+    gradient: Array  # (T, N) the cost's
+    hessian: Array  # (T, N, N) Gauss-Newton's of the events' own terms
+    bending: Array  # (T, N, N) what that leaves out, and what landmarks bend by
+    jacobian: Array  # (T, M, N) of the landmarks, which the prior ties
 
 
 def smooth_events(model: Model, settings: SmoothingSettings, events: Events) -> SmoothMotion:

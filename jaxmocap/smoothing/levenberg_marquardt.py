@@ -39,50 +39,33 @@ class Linearised(NamedTuple):
 
     Costs are sums of squares of whitened residuals r. All entries are finite; an absent frame has
     zeros (its points and their derivative aside), and the prior bridges it.
-
-    Attributes:
-        cost: (T,) r^T r.
-        hessian: (T, N, N) J^T J.
-        gradient: (T, N) J^T r, half the cost's derivative.
-        points: (T, M) the coordinates whose motion the prior weighs.
-        jacobian: (T, M, N) their derivative.
-        cross: (T, N, P) J^T J_p; without shared parameters this and the rest are left out.
-        shared_hessian: (T, P, P) J_p^T J_p; a prior on p belongs to one frame, or a T-th to each.
-        shared_gradient: (T, P) J_p^T r.
-        shared_jacobian: (T, M, P) the points' derivative by p.
     """
 
-    cost: ArrayLike
-    hessian: ArrayLike
-    gradient: ArrayLike
-    points: ArrayLike
-    jacobian: ArrayLike
+    cost: ArrayLike  # (T,) r^T r
+    hessian: ArrayLike  # (T, N, N) J^T J
+    gradient: ArrayLike  # (T, N) J^T r, half the cost's derivative
+    points: ArrayLike  # (T, M) the coordinates whose motion the prior weighs
+    jacobian: ArrayLike  # (T, M, N) their derivative
+    # (T, N, P) J^T J_p; without shared parameters this and the rest are left out.
     cross: ArrayLike = UNSHARED
+    # (T, P, P) J_p^T J_p; a prior on p belongs to one frame, or a T-th to each.
     shared_hessian: ArrayLike = UNSHARED.T @ UNSHARED
-    shared_gradient: ArrayLike = UNSHARED[0]
-    shared_jacobian: ArrayLike = UNSHARED
+    shared_gradient: ArrayLike = UNSHARED[0]  # (T, P) J_p^T r
+    shared_jacobian: ArrayLike = UNSHARED  # (T, M, P) the points' derivative by p
 
 
 class SolverSettings(NamedTuple):
-    """How a trajectory is solved.
+    """How a trajectory is solved."""
 
-    Attributes:
-        iterations: most steps.
-        attempts: most tries of one of them.
-        damping: the first, as a share of the frames' mean curvature.
-        growth: factor on the damping after a first try that failed, doubled after each further one.
-        relative: converged when the cost falls by no more than this share, or would, or
-        step: when no tangent component moves by more than this.
-        floor: curvature that every unknown has about its present value, so that what nothing
-            determines stays where it is; it then has the variance 1 / floor.
-    """
-
-    iterations: int = 20
-    attempts: int = 8
-    damping: float = 1e-3
+    iterations: int = 20  # most steps
+    attempts: int = 8  # most tries of one of them
+    damping: float = 1e-3  # the first, as a share of the frames' mean curvature
+    # Factor on the damping after a first try that failed, doubled after each further one.
     growth: float = 2.0
-    relative: float = 1e-4
-    step: float = 1e-5
+    relative: float = 1e-4  # converged when the cost falls by no more than this share, or would
+    step: float = 1e-5  # likewise when no tangent component moves by more than this
+    # Curvature that every unknown has about its present value, so that what nothing determines
+    # stays where it is; it then has the variance 1 / floor.
     floor: float = 1e-6
 
 
@@ -90,25 +73,15 @@ DEFAULTS = SolverSettings()
 
 
 class Solution(NamedTuple):
-    """How a solve ended.
+    """How a solve ended."""
 
-    Attributes:
-        x: the trajectory.
-        linear: about it.
-        cost: there, the priors' included.
-        iterations: times that a step was solved for.
-        linearisations: made.
-        damping: to start with where the solve goes on.
-        status: why it ended.
-    """
-
-    x: Any
-    linear: Linearised
-    cost: float
-    iterations: int
-    linearisations: int
-    damping: float
-    status: Status
+    x: Any  # the trajectory
+    linear: Linearised  # about it
+    cost: float  # there, the priors' included
+    iterations: int  # times that a step was solved for
+    linearisations: int  # made
+    damping: float  # to start with where the solve goes on
+    status: Status  # why it ended
 
 
 Linearise = Callable[[Any], Linearised]
@@ -211,17 +184,11 @@ def normal_equations(linearised: Linearised, prior: Smoothness) -> Equations:
 
 
 class _Place(NamedTuple):
-    """Where a solve is.
+    """Where a solve is."""
 
-    Attributes:
-        x: the trajectory.
-        linear: about it.
-        cost: the prior's included.
-    """
-
-    x: Any
-    linear: Linearised
-    cost: float
+    x: Any  # the trajectory
+    linear: Linearised  # about it
+    cost: float  # the prior's included
 
 
 def _descend(

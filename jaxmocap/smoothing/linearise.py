@@ -55,17 +55,11 @@ VIEWS_A_CALL = 16
 
 
 class SmoothedPoses(NamedTuple):
-    """What a solve ended with.
+    """What a solve ended with."""
 
-    Attributes:
-        trajectory: poses and what they share.
-        cost: of all residuals and the prior.
-        status: why the solve ended.
-    """
-
-    trajectory: Trajectory
-    cost: float
-    status: Status
+    trajectory: Trajectory  # poses and what they share
+    cost: float  # of all residuals and the prior
+    status: Status  # why the solve ended
 
 
 def smooth_poses(
@@ -126,21 +120,13 @@ def coarsely(problem: SmoothingProblem, softness: float) -> tuple[SmoothingProbl
 
 
 class FramesFit(NamedTuple):
-    """Batches of frames about their poses; N = 6 + D + P, by pose and proportions.
+    """Batches of frames about their poses; N = 6 + D + P, by pose and proportions."""
 
-    Attributes:
-        cost: (B,) of their terms.
-        hessian: (B, N, N) J^T J.
-        gradient: (B, N) J^T r.
-        points: (B, 3 L) landmarks, world, metres.
-        jacobian: (B, 3 L, N) of the landmarks.
-    """
-
-    cost: Numbers
-    hessian: Numbers
-    gradient: Numbers
-    points: Numbers
-    jacobian: Numbers
+    cost: Numbers  # (B,) of their terms
+    hessian: Numbers  # (B, N, N) J^T J
+    gradient: Numbers  # (B, N) J^T r
+    points: Numbers  # (B, 3 L) landmarks, world, metres
+    jacobian: Numbers  # (B, 3 L, N) of the landmarks
 
 
 @program("quick")
@@ -177,19 +163,12 @@ def views_fit(
 
 
 class SilhouettesFit(NamedTuple):
-    """What all cameras' silhouettes of a person cost at a pose; N = 6 + D.
+    """What all cameras' silhouettes of a person cost at a pose; N = 6 + D."""
 
-    Attributes:
-        cost: ().
-        hessian: (N, N) J^T J.
-        gradient: (N,) J^T r, half the cost's.
-        bending: (N, N) what J^T J leaves out of half the cost's Hessian; 0 where nobody asks.
-    """
-
-    cost: Array
-    hessian: Array
-    gradient: Array
-    bending: Array
+    cost: Array  # ()
+    hessian: Array  # (N, N) J^T J
+    gradient: Array  # (N,) J^T r, half the cost's
+    bending: Array  # (N, N) what J^T J leaves out of half the cost's Hessian; 0 where nobody asks
 
 
 def silhouettes_fit(

@@ -59,17 +59,11 @@ class FirstPass(NamedTuple):
 
 
 class Views(NamedTuple):
-    """V silhouettes, each of one camera in one frame.
+    """V silhouettes, each of one camera in one frame."""
 
-    Attributes:
-        frame: (V,) host integers, which frame of the trajectory.
-        camera: (V,) host integers, which camera.
-        grids: what it shows of the person, (V, ...) each.
-    """
-
-    frame: np.ndarray
-    camera: np.ndarray
-    grids: SilhouetteGrids
+    frame: np.ndarray  # (V,) host integers, which frame of the trajectory
+    camera: np.ndarray  # (V,) host integers, which camera
+    grids: SilhouetteGrids  # what it shows of the person, (V, ...) each
 
     @classmethod
     def no_cameras(cls) -> "Views":
@@ -113,16 +107,12 @@ class SmoothingProblem:
 
 
 class LeftOut(NamedTuple):
-    """How sure L landmarks would be without some of the evidence.
+    """How sure L landmarks would be without some of the evidence."""
 
-    Attributes:
-        kind: "nothing", "marker", "camera", "key points" or "prior".
-        which: index of the marker or the camera; name of a prior's setting, or "motion".
-        deviations: (L,) medians over time of standard deviations, over the three axes, metres.
-    """
-
-    kind: str
+    kind: str  # "nothing", "marker", "camera", "key points" or "prior"
+    # Index of the marker or the camera; name of a prior's setting, or "motion".
     which: int | str | None
+    # (L,) medians over time of standard deviations, over the three axes, metres.
     deviations: np.ndarray
 
 

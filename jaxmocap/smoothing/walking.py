@@ -44,33 +44,20 @@ UNUSUAL = 3.5
 
 
 class Habit(NamedTuple):
-    """Where a landmark is about the crown: ahead, to its own side, up; in statures.
+    """Where a landmark is about the crown: ahead, to its own side, up; in statures."""
 
-    Attributes:
-        constant: (3,).
-        slopes: (F, 3) by features.
-        deviations: (3,) of people who were left out; infinite where nothing is usual.
-    """
-
-    constant: np.ndarray
-    slopes: np.ndarray
-    deviations: np.ndarray
+    constant: np.ndarray  # (3,)
+    slopes: np.ndarray  # (F, 3) by features
+    deviations: np.ndarray  # (3,) of people who were left out; infinite where nothing is usual
 
 
 class Habits(NamedTuple):
-    """What walkers do.
+    """What walkers do."""
 
-    Attributes:
-        elbow: by its own hand's place (3).
-        ankle: by ``Walk.swing`` (5) of its side.
-        pelvis: by that of the left.
-        hand: (2, 3) where hands usually are about the crown, and by how much that varies.
-    """
-
-    elbow: Habit
-    ankle: Habit
-    pelvis: Habit
-    hand: np.ndarray
+    elbow: Habit  # by its own hand's place (3)
+    ankle: Habit  # by ``Walk.swing`` (5) of its side
+    pelvis: Habit  # by that of the left
+    hand: np.ndarray  # (2, 3) where hands usually are about the crown, and by how much that varies
 
 
 @cache
@@ -86,20 +73,14 @@ def usual_habits() -> Habits:
 
 
 class Walk(NamedTuple):
-    """A walker's head and hands over time, for either side as its own.
+    """A walker's head and hands over time, for either side as its own."""
 
-    Attributes:
-        ahead: (T, 2) unit, where the walker faces.
-        goes: (T,) from 0, whoever stands, to 1, whoever walks ahead.
-        hands: (2, T, 3) of the left, of the right, about the crown: ahead, to its side, up;
-            statures.
-        swing: (2, T, 5) for either side: how far its hand is ahead of the other, both hands ahead,
-            both hands to its side, the head's sway to its side, and how fast that grows.
-    """
-
-    ahead: np.ndarray
-    goes: np.ndarray
+    ahead: np.ndarray  # (T, 2) unit, where the walker faces
+    goes: np.ndarray  # (T,) from 0, whoever stands, to 1, whoever walks ahead
+    # (2, T, 3) of the left, of the right, about the crown: ahead, to its side, up; statures.
     hands: np.ndarray
+    # (2, T, 5) for either side: how far its hand is ahead of the other, both hands ahead, both
+    # hands to its side, the head's sway to its side, and how fast that grows.
     swing: np.ndarray
 
     @property

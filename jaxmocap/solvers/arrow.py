@@ -21,17 +21,11 @@ SMALLEST_PIVOT = 1e-13
 
 
 class BandedStep(NamedTuple):
-    """A step of T frames of N unknowns and P shared ones.
+    """A step of T frames of N unknowns and P shared ones."""
 
-    Attributes:
-        frames: (T, N).
-        shared: (P,).
-        decrease: what a quadratic cost, the sum of squares, would fall by.
-    """
-
-    frames: np.ndarray
-    shared: np.ndarray
-    decrease: float
+    frames: np.ndarray  # (T, N)
+    shared: np.ndarray  # (P,)
+    decrease: float  # what a quadratic cost, the sum of squares, would fall by
 
     def largest(self) -> float:
         """The largest component."""
@@ -39,39 +33,23 @@ class BandedStep(NamedTuple):
 
 
 class Covariances(NamedTuple):
-    """What is left uncertain, in tangent directions.
+    """What is left uncertain, in tangent directions."""
 
-    Attributes:
-        frames: (T, N, N) of each frame's unknowns.
-        cross: (T, N, P) between those and the shared ones.
-        shared: (P, P) of the shared ones.
-    """
-
-    frames: np.ndarray
-    cross: np.ndarray
-    shared: np.ndarray
+    frames: np.ndarray  # (T, N, N) of each frame's unknowns
+    cross: np.ndarray  # (T, N, P) between those and the shared ones
+    shared: np.ndarray  # (P, P) of the shared ones
 
 
 class Equations(NamedTuple):
-    """Normal equations J^T J step = -J^T r.
+    """Normal equations J^T J step = -J^T r."""
 
-    Attributes:
-        rows: (T, N, (reach + 1) N) A, its block rows as ``banded`` keeps them.
-        gradient: (T, N) g.
-        cross: (T, N, P) C.
-        shared: (P, P) B.
-        shared_gradient: (P,) b.
-        scale: (N,) what damping holds each frame's unknowns back by.
-        shared_scale: (P,) likewise.
-    """
-
-    rows: np.ndarray
-    gradient: np.ndarray
-    cross: np.ndarray
-    shared: np.ndarray
-    shared_gradient: np.ndarray
-    scale: np.ndarray
-    shared_scale: np.ndarray
+    rows: np.ndarray  # (T, N, (reach + 1) N) A, its block rows as ``banded`` keeps them
+    gradient: np.ndarray  # (T, N) g
+    cross: np.ndarray  # (T, N, P) C
+    shared: np.ndarray  # (P, P) B
+    shared_gradient: np.ndarray  # (P,) b
+    scale: np.ndarray  # (N,) what damping holds each frame's unknowns back by
+    shared_scale: np.ndarray  # (P,) likewise
 
     def diagonal(self) -> np.ndarray:
         """(T, N) of A."""

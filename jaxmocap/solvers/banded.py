@@ -20,15 +20,10 @@ NotPositiveDefinite = np.linalg.LinAlgError
 
 
 class Factor(NamedTuple):
-    """A Cholesky factor L of a banded matrix.
+    """A Cholesky factor L of a banded matrix."""
 
-    Attributes:
-        columns: (T * N, (r + 1) N) column i of L from its diagonal entry downwards.
-        frames: T.
-    """
-
-    columns: np.ndarray
-    frames: int
+    columns: np.ndarray  # (T * N, (r + 1) N) column i of L from its diagonal entry downwards
+    frames: int  # T
 
 
 def pack_band(rows: np.ndarray) -> np.ndarray:

@@ -41,17 +41,11 @@ SOLVES = 5
 
 
 class Local(NamedTuple):
-    """Residuals about a point, to second order.
+    """Residuals about a point, to second order."""
 
-    Attributes:
-        residuals: (R,).
-        jacobian: (R, N) by a tangent vector.
-        second_order: (N, N) the sum of their second derivatives, each times its residual.
-    """
-
-    residuals: Array
-    jacobian: Array
-    second_order: Array
+    residuals: Array  # (R,)
+    jacobian: Array  # (R, N) by a tangent vector
+    second_order: Array  # (N, N) the sum of their second derivatives, each times its residual
 
     @property
     def cost(self) -> Array:
@@ -65,57 +59,34 @@ class Local(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """Squared residuals of x, and how x moves: by tangent vectors (N,) at it.
+    """Squared residuals of x, and how x moves: by tangent vectors (N,) at it."""
 
-    Attributes:
-        residuals: parameters and x to (R,).
-        about: parameters and x to a ``Local``.
-        move: x and a tangent vector to where it leads.
-        room: parameters and x to the lowest and highest (N,) tangent vector within bounds.
-    """
-
-    residuals: Callable[[Any, Any], Array]
-    about: Callable[[Any, Any], Local]
-    move: Callable[[Any, Array], Any]
+    residuals: Callable[[Any, Any], Array]  # parameters and x to (R,)
+    about: Callable[[Any, Any], Local]  # parameters and x to a ``Local``
+    move: Callable[[Any, Array], Any]  # x and a tangent vector to where it leads
+    # Parameters and x to the lowest and highest (N,) tangent vector within bounds.
     room: Callable[[Any, Any], tuple[Array, Array]]
 
 
 class Descent(NamedTuple):
-    """How a descent ended.
+    """How a descent ended."""
 
-    Attributes:
-        x: of least cost.
-        cost: () half the squares of its residuals.
-        rests: () whether that is a minimum; else the steps ran out.
-    """
-
-    x: Any
-    cost: Array
-    rests: Array
+    x: Any  # of least cost
+    cost: Array  # () half the squares of its residuals
+    rests: Array  # () whether that is a minimum; else the steps ran out
 
 
 class _Progress(NamedTuple):
-    """Between two steps: the best point so far, and the one that is tried next.
+    """Between two steps: the best point so far, and the one that is tried next."""
 
-    Attributes:
-        left: () steps that may be made.
-        best: point.
-        local: there.
-        tried: next.
-        damping: () of the step that leads there, negative before the first one.
-        shortening: () damping that shortens it.
-        short: () whether it is.
-        ended: () whether it is the last one.
-    """
-
-    left: Array
-    best: Any
-    local: Local
-    tried: Any
-    damping: Array
-    shortening: Array
-    short: Array
-    ended: Array
+    left: Array  # () steps that may be made
+    best: Any  # point
+    local: Local  # there
+    tried: Any  # next
+    damping: Array  # () of the step that leads there, negative before the first one
+    shortening: Array  # () damping that shortens it
+    short: Array  # () whether it is
+    ended: Array  # () whether it is the last one
 
     @property
     def unfinished(self) -> Array:

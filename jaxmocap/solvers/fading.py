@@ -14,17 +14,11 @@ import numpy as np
 
 
 class Fading(NamedTuple):
-    """What is left of earlier corrections.
+    """What is left of earlier corrections."""
 
-    Attributes:
-        offset: (N,) to be added to the track.
-        rate: (N,) its change per second.
-        time: () seconds.
-    """
-
-    offset: np.ndarray
-    rate: np.ndarray
-    time: float
+    offset: np.ndarray  # (N,) to be added to the track
+    rate: np.ndarray  # (N,) its change per second
+    time: float  # () seconds
 
     def corrected(self, offset: np.ndarray) -> "Fading":
         """With a track that from now on lies by ``offset`` behind the last one."""

@@ -21,20 +21,14 @@ Method = Literal["levenberg-marquardt", "gauss-newton", "bfgs"]
 
 
 class LeastSquaresResult(NamedTuple):
-    """How a solve of N unknowns ended.
+    """How a solve of N unknowns ended."""
 
-    Attributes:
-        point: (N,) the solution; the start where the solve broke down.
-        cost: () half the sum of squares there.
-        steps: () made, each one evaluation of the residuals and, but for BFGS's line search, of
-            their derivatives.
-        status: () int32, a ``Status``.
-    """
-
-    point: Array
-    cost: Array
+    point: Array  # (N,) the solution; the start where the solve broke down
+    cost: Array  # () half the sum of squares there
+    # () made, each one evaluation of the residuals and, but for BFGS's line search, of their
+    # derivatives.
     steps: Array
-    status: Array
+    status: Array  # () int32, a ``Status``
 
 
 def least_squares(

@@ -15,15 +15,10 @@ HIGHEST = jax.lax.Precision.HIGHEST
 
 
 class SdlsStep(NamedTuple):
-    """One step of n degrees of freedom.
+    """One step of n degrees of freedom."""
 
-    Attributes:
-        primary: (n,) equation (7), clamped once more to the global maximum.
-        row_space: (r, n) orthonormal rows v_i; those of dropped singular values are 0.
-    """
-
-    primary: Array
-    row_space: Array
+    primary: Array  # (n,) equation (7), clamped once more to the global maximum
+    row_space: Array  # (r, n) orthonormal rows v_i; those of dropped singular values are 0
 
 
 def clamp_lengths(vectors: Array, longest: Array | float) -> Array:

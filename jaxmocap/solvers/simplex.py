@@ -21,42 +21,26 @@ REFLECT, EXPAND, CONTRACT, SHRINK = 1.0, 2.0, 0.5, 0.5
 
 
 class SimplexResult(NamedTuple):
-    """How B problems of n variables ended.
+    """How B problems of n variables ended."""
 
-    Attributes:
-        points: (B, n) best found.
-        costs: (B,) there.
-        iterations: (B,) until frozen.
-        converged: (B,) whether both tolerances were met.
-    """
-
-    points: Array
-    costs: Array
-    iterations: Array
-    converged: Array
+    points: Array  # (B, n) best found
+    costs: Array  # (B,) there
+    iterations: Array  # (B,) until frozen
+    converged: Array  # (B,) whether both tolerances were met
 
 
 class _State(NamedTuple):
-    """Of B problems.
+    """Of B problems."""
 
-    Attributes:
-        vertices: (B, n + 1, n), by ascending cost unless some are still to be evaluated.
-        costs: (B, n + 1); infinite of vertices that are still to be evaluated.
-        point: (B, n) to be evaluated next.
-        stage: (B,) what that is: vertex 0 to n; n + 1 the worst vertex reflected; n + 2 a second
-            try, beyond that or before it.
-        reflected: (B,) cost of the reflected point.
-        iterations: (B,) begun by a reflection and ended.
-        done: (B,) whether converged.
-    """
-
-    vertices: Array
-    costs: Array
-    point: Array
+    vertices: Array  # (B, n + 1, n), by ascending cost unless some are still to be evaluated
+    costs: Array  # (B, n + 1); infinite of vertices that are still to be evaluated
+    point: Array  # (B, n) to be evaluated next
+    # (B,) what that is: vertex 0 to n; n + 1 the worst vertex reflected; n + 2 a second try, beyond
+    # that or before it.
     stage: Array
-    reflected: Array
-    iterations: Array
-    done: Array
+    reflected: Array  # (B,) cost of the reflected point
+    iterations: Array  # (B,) begun by a reflection and ended
+    done: Array  # (B,) whether converged
 
 
 def initial_simplex(starts: Array, edges: Array) -> Array:
@@ -137,23 +121,14 @@ def _learn(state: _State, values: Array, point_tolerance: float, cost_tolerance:
 
 
 class _Decision(NamedTuple):
-    """What (B,) costs of the present points decide, one simplex each.
+    """What (B,) costs of the present points decide, one simplex each."""
 
-    Attributes:
-        factor: of the second point, along the way from the worst vertex through the middle.
-        f_reflected: cost of the reflected point.
-        better: whether the second point is kept.
-        seconds: whether a second point is asked for.
-        shrinks: whether the simplex shrinks.
-        ends: whether an iteration ends with the worst vertex replaced.
-    """
-
-    factor: Array
-    f_reflected: Array
-    better: Array
-    seconds: Array
-    shrinks: Array
-    ends: Array
+    factor: Array  # of the second point, along the way from the worst vertex through the middle
+    f_reflected: Array  # cost of the reflected point
+    better: Array  # whether the second point is kept
+    seconds: Array  # whether a second point is asked for
+    shrinks: Array  # whether the simplex shrinks
+    ends: Array  # whether an iteration ends with the worst vertex replaced
 
 
 def _decide(state: _State, values: Array) -> _Decision:

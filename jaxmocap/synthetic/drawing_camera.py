@@ -31,23 +31,14 @@ def look_at(
 
 @dataclass(frozen=True)
 class DrawingCamera:
-    """A camera's parameters in NumPy.
+    """A camera's parameters in NumPy."""
 
-    Attributes:
-        size: width and height, pixels.
-        matrix: (3, 3) intrinsic matrix, pixels.
-        distortion: coefficients of the lens.
-        R_cam_world: (3, 3).
-        translation_cam: (3,) metres.
-        lens: name in ``LENSES``.
-    """
-
-    size: tuple[int, int]
-    matrix: np.ndarray
-    distortion: np.ndarray
-    R_cam_world: np.ndarray
-    translation_cam: np.ndarray
-    lens: str
+    size: tuple[int, int]  # width and height, pixels
+    matrix: np.ndarray  # (3, 3) intrinsic matrix, pixels
+    distortion: np.ndarray  # coefficients of the lens
+    R_cam_world: np.ndarray  # (3, 3)
+    translation_cam: np.ndarray  # (3,) metres
+    lens: str  # name in ``LENSES``
 
     @classmethod
     def of(cls, camera: Camera) -> "DrawingCamera":

@@ -63,21 +63,13 @@ class Performer(Mover, Protocol):
 
 @dataclass(frozen=True)
 class RoomCamera:
-    """One of the cameras, and the room that it looks into.
+    """One of the cameras, and the room that it looks into."""
 
-    Attributes:
-        number: of the camera, from 1.
-        azimuth: degrees.
-        height: metres.
-        target: (3,) what it looks at, world, metres.
-        focal: pixels.
-    """
-
-    number: int
-    azimuth: float
-    height: float
-    target: np.ndarray
-    focal: float
+    number: int  # of the camera, from 1
+    azimuth: float  # degrees
+    height: float  # metres
+    target: np.ndarray  # (3,) what it looks at, world, metres
+    focal: float  # pixels
 
     @property
     def name(self) -> str:

@@ -46,23 +46,14 @@ DRIFT_WAVES = 4
 
 
 class RecordingParts(NamedTuple):
-    """What the files of a recording hold, but for its video.
+    """What the files of a recording hold, but for its video."""
 
-    Attributes:
-        times: (T,) of the markers, seconds.
-        markers: name -> (T, 3) without noise, world, metres.
-        landmarks: name -> (T, 3) the truth.
-        camera: of the video.
-        places: the table [markers.on].
-        subject: the table [subject].
-    """
-
-    times: np.ndarray
-    markers: dict[str, np.ndarray]
-    landmarks: dict[str, np.ndarray]
-    camera: Camera
-    places: Mapping[str, Mapping[str, Any]]
-    subject: Mapping[str, Any]
+    times: np.ndarray  # (T,) of the markers, seconds
+    markers: dict[str, np.ndarray]  # name -> (T, 3) without noise, world, metres
+    landmarks: dict[str, np.ndarray]  # name -> (T, 3) the truth
+    camera: Camera  # of the video
+    places: Mapping[str, Mapping[str, Any]]  # the table [markers.on]
+    subject: Mapping[str, Any]  # the table [subject]
 
 
 def write_table_tennis(

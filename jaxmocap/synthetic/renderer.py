@@ -66,19 +66,12 @@ class Mover(Protocol):
 
 @dataclass(frozen=True)
 class Scene:
-    """A camera before a room with someone in it.
+    """A camera before a room with someone in it."""
 
-    Attributes:
-        camera: of the video.
-        background: (H, W, 3) BGR uint8, the empty room.
-        mover: the person.
-        seed: of the sensor's noise.
-    """
-
-    camera: Camera
-    background: np.ndarray
-    mover: Mover
-    seed: int = 0
+    camera: Camera  # of the video
+    background: np.ndarray  # (H, W, 3) BGR uint8, the empty room
+    mover: Mover  # the person
+    seed: int = 0  # of the sensor's noise
 
     @classmethod
     def in_room(
@@ -212,19 +205,13 @@ def shadowed(scene: Scene, camera: DrawingCamera, vertices: np.ndarray) -> np.nd
 
 @dataclass(frozen=True)
 class Sensor:
-    """Vignetting and noise.
+    """Vignetting and noise."""
 
-    Attributes:
-        falloff: (H, W, 3) float32, brightness towards the corners.
-        grain: (H + g, W + g, 3) float32 of unit deviation; each frame takes another cut-out.
-        deviations: (256,) float32, noise of each brightness.
-        rng: of the cut-outs.
-    """
-
-    falloff: np.ndarray
+    falloff: np.ndarray  # (H, W, 3) float32, brightness towards the corners
+    # (H + g, W + g, 3) float32 of unit deviation; each frame takes another cut-out.
     grain: np.ndarray
-    deviations: np.ndarray
-    rng: np.random.Generator
+    deviations: np.ndarray  # (256,) float32, noise of each brightness
+    rng: np.random.Generator  # of the cut-outs
 
     @classmethod
     def create(cls, size: tuple[int, int], rng: np.random.Generator) -> "Sensor":

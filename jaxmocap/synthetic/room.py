@@ -28,17 +28,11 @@ FRACTION_BITS = 4
 
 @dataclass
 class Room:
-    """An image of a room while it is drawn.
+    """An image of a room while it is drawn."""
 
-    Attributes:
-        camera: that sees the room.
-        rng: of what stands where.
-        image: (2 H, 2 W, 3) BGR uint8.
-    """
-
-    camera: DrawingCamera
-    rng: np.random.Generator
-    image: np.ndarray
+    camera: DrawingCamera  # that sees the room
+    rng: np.random.Generator  # of what stands where
+    image: np.ndarray  # (2 H, 2 W, 3) BGR uint8
 
     @classmethod
     def furnished(cls, camera: DrawingCamera, rng: np.random.Generator) -> np.ndarray:

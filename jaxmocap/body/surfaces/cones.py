@@ -21,17 +21,11 @@ from jaxmocap.geometry.rotations import rotate
 
 
 class Cones(NamedTuple):
-    """N sphere-swept cones.
+    """N sphere-swept cones."""
 
-    Attributes:
-        near: (N, 3) centres of the spheres at the joints.
-        far: (N, 3) centres of the spheres at the far ends.
-        radii: (N, 2) of the two spheres, metres.
-    """
-
-    near: Array
-    far: Array
-    radii: Array
+    near: Array  # (N, 3) centres of the spheres at the joints
+    far: Array  # (N, 3) centres of the spheres at the far ends
+    radii: Array  # (N, 2) of the two spheres, metres
 
 
 def cones(skeleton: Skeleton, frames: Frames, bones: np.ndarray) -> Cones:

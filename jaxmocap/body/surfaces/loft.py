@@ -27,33 +27,21 @@ BLEND = 0.3
 
 @dataclass(frozen=True)
 class LoftedPart:
-    """One limb of the table.
+    """One limb of the table."""
 
-    Attributes:
-        name: of the patch, with its side.
-        side: 1 left or middle, -1 right.
-        bones: along which it lies, end to end; names.
-        above: the bone that carries its beginning, or "".
-        reach: length of its last bone as a fraction of the stature, or 0 for the skeleton's own.
-        around: nodes of a ring.
-        along: rings.
-        at: (R,) place of each ring of the table: whole numbers are bones' joints.
-        shifts: (R, 2) of the rings' centres by the stature, towards phi = 0 and 90 degrees.
-        stout: (R,) power of the girth by which they grow.
-        waves: (R, 2, H) cosine and sine coefficients of the radius by the stature.
-    """
-
-    name: str
-    side: int
-    bones: tuple[str, ...]
-    above: str
+    name: str  # of the patch, with its side
+    side: int  # 1 left or middle, -1 right
+    bones: tuple[str, ...]  # along which it lies, end to end; names
+    above: str  # the bone that carries its beginning, or ""
+    # Length of its last bone as a fraction of the stature, or 0 for the skeleton's own.
     reach: float
-    around: int
-    along: int
-    at: np.ndarray
+    around: int  # nodes of a ring
+    along: int  # rings
+    at: np.ndarray  # (R,) place of each ring of the table: whole numbers are bones' joints
+    # (R, 2) of the rings' centres by the stature, towards phi = 0 and 90 degrees.
     shifts: np.ndarray
-    stout: np.ndarray
-    waves: np.ndarray
+    stout: np.ndarray  # (R,) power of the girth by which they grow
+    waves: np.ndarray  # (R, 2, H) cosine and sine coefficients of the radius by the stature
 
 
 def generic_surface(skeleton: Skeleton, girth: float = 1.0) -> Surface:

@@ -20,21 +20,14 @@ SAME_M = 1e-5
 
 
 class Rectangle(NamedTuple):
-    """Where a patch lies on the picture.
+    """Where a patch lies on the picture."""
 
-    Attributes:
-        left: column of its first texel.
-        top: row of it.
-        width: texels, from the ring's first node all the way around to it.
-        height: texels.
-        levels: (along,) places of the rings from the first row, 0, to the last, 1: by their
-            distance on the surface.
-    """
-
-    left: int
-    top: int
-    width: int
-    height: int
+    left: int  # column of its first texel
+    top: int  # row of it
+    width: int  # texels, from the ring's first node all the way around to it
+    height: int  # texels
+    # (along,) places of the rings from the first row, 0, to the last, 1: by their distance on the
+    # surface.
     levels: np.ndarray
 
     def texels(self, grid: np.ndarray) -> np.ndarray:
@@ -60,31 +53,19 @@ class Rectangle(NamedTuple):
 
 
 class Atlas(NamedTuple):
-    """A picture's layout.
+    """A picture's layout."""
 
-    Attributes:
-        width: of the picture, texels.
-        height: of it.
-        rectangles: of the patches, in their order.
-    """
-
-    width: int
-    height: int
-    rectangles: tuple[Rectangle, ...]
+    width: int  # of the picture, texels
+    height: int  # of it
+    rectangles: tuple[Rectangle, ...]  # of the patches, in their order
 
 
 class SurfaceMesh(NamedTuple):
-    """V vertices and F triangles.
+    """V vertices and F triangles."""
 
-    Attributes:
-        nodes: (V,) the surface's node at each vertex.
-        places: (V, 2) on the atlas, from 0 to 1, rightwards and downwards.
-        triangles: (F, 3) vertices, counter-clockwise from outside.
-    """
-
-    nodes: np.ndarray
-    places: np.ndarray
-    triangles: np.ndarray
+    nodes: np.ndarray  # (V,) the surface's node at each vertex
+    places: np.ndarray  # (V, 2) on the atlas, from 0 to 1, rightwards and downwards
+    triangles: np.ndarray  # (F, 3) vertices, counter-clockwise from outside
 
 
 def atlas_of(surface: Surface, nodes: np.ndarray, texel: float) -> Atlas:

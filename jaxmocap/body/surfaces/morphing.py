@@ -32,82 +32,54 @@ WEIGHTINGS = {"linear": lambda t: t, "square_root": _square_root, "squared": lam
 
 
 class Driver(NamedTuple):
-    """What drives others: one joint by its angle, or two that swing a bone by how far it is raised.
+    """What drives others: the angle of a joint, or how far two joints raise the bone they swing."""
 
-    Attributes:
-        joints: names. One gives its angle, radians. Two hinges at right angles, flexion and
-            abduction, give (1 - cos cos) / 2: 0 with the arm hanging, 1 upright; it is smooth
-            everywhere, as the angle of elevation itself is not.
-        weighting: omega of (4.26), a name of ``WEIGHTINGS``; others than linear are for drivers
-            from 0 to 1.
-    """
-
+    # Names. One gives its angle, radians. Two hinges at right angles, flexion and abduction, give
+    # (1 - cos cos) / 2: 0 with the arm hanging, 1 upright; it is smooth everywhere, as the angle of
+    # elevation itself is not.
     joints: tuple[str, ...]
+    # The omega of (4.26), a name of ``WEIGHTINGS``; others than linear are for drivers from 0 to 1.
     weighting: str = "linear"
 
 
 class Follower(NamedTuple):
-    """A joint that goes along.
+    """A joint that goes along."""
 
-    Attributes:
-        joint: its name.
-        driver: by which.
-        gain: radians, by a driver of 1.
-    """
-
-    joint: str
-    driver: Driver
-    gain: float
+    joint: str  # its name
+    driver: Driver  # by which
+    gain: float  # radians, by a driver of 1
 
 
 class Swelling(NamedTuple):
-    """A place of the skin that goes along: equations (4.27) and (4.28).
+    """A place of the skin that goes along: equations (4.27) and (4.28)."""
 
-    Attributes:
-        patch: of the surface.
-        driver: by which.
-        centre: phi1, radians around the limb, and phi2, share of the way along it.
-        radii: the same; the function falls to 1/e there.
-        gain: lambda, metres by a driver of 1.
-        direction: in the body's frame at rest; None for each node's own normal.
-    """
-
-    patch: str
-    driver: Driver
+    patch: str  # of the surface
+    driver: Driver  # by which
+    # (phi1, phi2): radians around the limb, and share of the way along it.
     centre: tuple[float, float]
-    radii: tuple[float, float]
-    gain: float
+    radii: tuple[float, float]  # the same; the function falls to 1/e there
+    gain: float  # lambda, metres by a driver of 1
+    # In the body's frame at rest; None for each node's own normal.
     direction: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
 class Transition:
-    """Another surface that the body's own goes over into: equation (4.26).
+    """Another surface that the body's own goes over into: equation (4.26)."""
 
-    Attributes:
-        driver: at 0 the body has its own surface, at 1 the other.
-        to: of the same patches, node for node, around the same joints.
-        patches: that go over; all of them without any.
-    """
-
-    driver: Driver
+    driver: Driver  # at 0 the body has its own surface, at 1 the other
+    # Of the same patches, node for node, around the same joints.
     to: Surface = field(repr=False, compare=False)
-    patches: tuple[str, ...] = ()
+    patches: tuple[str, ...] = ()  # that go over; all of them without any
 
 
 @dataclass(frozen=True)
 class Morphing:
-    """All that goes along; nothing by default.
+    """All that goes along; nothing by default."""
 
-    Attributes:
-        followers: joints.
-        swellings: places of the skin.
-        transitions: whole surfaces.
-    """
-
-    followers: tuple[Follower, ...] = ()
-    swellings: tuple[Swelling, ...] = ()
-    transitions: tuple[Transition, ...] = ()
+    followers: tuple[Follower, ...] = ()  # joints
+    swellings: tuple[Swelling, ...] = ()  # places of the skin
+    transitions: tuple[Transition, ...] = ()  # whole surfaces
 
     @property
     def drivers(self) -> tuple[Driver, ...]:

@@ -29,21 +29,13 @@ RING_M = 0.02
 
 
 class Stretch(NamedTuple):
-    """The part of a limb that one bone carries.
+    """The part of a limb that one bone carries."""
 
-    Attributes:
-        bone: name.
-        first: place of its first ring on the limb's bones laid end to end, as in the table.
-        last: place of its last ring.
-        near_cap: whether it ends in a ball about the joint at ``first``, not with the surface.
-        far_cap: the same at ``last``.
-    """
-
-    bone: str
-    first: float
-    last: float
-    near_cap: bool
-    far_cap: bool
+    bone: str  # name
+    first: float  # place of its first ring on the limb's bones laid end to end, as in the table
+    last: float  # place of its last ring
+    near_cap: bool  # whether it ends in a ball about the joint at ``first``, not with the surface
+    far_cap: bool  # the same at ``last``
 
 
 def body_pieces(skeleton: Skeleton) -> dict[str, Solid]:

@@ -27,34 +27,22 @@ from jaxmocap.geometry.rotations import HIGHEST, rotate
 
 
 class BodyPoints(NamedTuple):
-    """N points that up to K bones carry, as skin does over a joint; indices may be traced.
+    """N points that up to K bones carry, as skin does over a joint; indices may be traced."""
 
-    Attributes:
-        bones: (N, K) int32 indices.
-        points_bone: (N, K, 3) the point in each bone's frame, from its joint, metres.
-        shares: (N, K) of each bone, together 1.
-    """
-
-    bones: Array | np.ndarray
+    bones: Array | np.ndarray  # (N, K) int32 indices
+    # (N, K, 3) the point in each bone's frame, from its joint, metres.
     points_bone: Array | np.ndarray
-    shares: Array | np.ndarray
+    shares: Array | np.ndarray  # (N, K) of each bone, together 1
 
 
 @dataclass(frozen=True)
 class Patch:
-    """A grid of nodes: rings of ``around`` nodes, ``along`` of them from the near end to the far.
+    """A grid of nodes: ``along`` rings of ``around`` nodes, from the near end to the far."""
 
-    Attributes:
-        name: of the limb, and of its side: ``arm_l``.
-        around: nodes of a ring.
-        along: rings.
-        start: index of its first node in the surface; node (ring v, place u) is
-            ``start + v * around + u``.
-    """
-
-    name: str
-    around: int
-    along: int
+    name: str  # of the limb, and of its side: ``arm_l``
+    around: int  # nodes of a ring
+    along: int  # rings
+    # Index of its first node in the surface; node (ring v, place u) is ``start + v * around + u``.
     start: int
 
     @property
@@ -90,15 +78,11 @@ class Patch:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Surface:
-    """A body's surface of N nodes.
+    """A body's surface of N nodes."""
 
-    Attributes:
-        patches: in the order of their nodes (static).
-        points: the nodes on their bones.
-    """
-
+    # In the order of their nodes (static).
     patches: tuple[Patch, ...] = field(metadata={"static": True})
-    points: BodyPoints
+    points: BodyPoints  # the nodes on their bones
 
     def patch_of(self) -> np.ndarray:
         """(N,) index of every node's patch."""
@@ -221,17 +205,11 @@ def low_pass(surface: Surface, joints: np.ndarray, harmonics: int, along: int) -
 
 
 class Skin(NamedTuple):
-    """A surface as one product: for tens of thousands of nodes ten times as fast as ``posed``.
+    """A surface as one product: for tens of thousands of nodes ten times as fast as ``posed``."""
 
-    Attributes:
-        weights: (B, N) share of every bone.
-        rest: (3, N) nodes with all angles 0, from the pelvis, metres.
-        joints: (B, 3) of the bones there.
-    """
-
-    weights: Array
-    rest: Array
-    joints: Array
+    weights: Array  # (B, N) share of every bone
+    rest: Array  # (3, N) nodes with all angles 0, from the pelvis, metres
+    joints: Array  # (B, 3) of the bones there
 
 
 def skin_of(surface: Surface, joints: np.ndarray) -> Skin:

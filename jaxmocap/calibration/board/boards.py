@@ -21,21 +21,14 @@ LARGEST_SQUARE_M = 1.0
 
 @dataclass(frozen=True)
 class Board:
-    """A flat board of squares.
+    """A flat board of squares."""
 
-    Attributes:
-        columns: inner corners along x.
-        rows: inner corners along y.
-        square: side of a square, metres.
-        dictionary: of a ChArUco board's markers, such as ``5X5_100``; None for a chessboard.
-        marker: side of a marker, metres; 0 for a chessboard.
-    """
-
-    columns: int
-    rows: int
-    square: float
+    columns: int  # inner corners along x
+    rows: int  # inner corners along y
+    square: float  # side of a square, metres
+    # Of a ChArUco board's markers, such as ``5X5_100``; None for a chessboard.
     dictionary: str | None = None
-    marker: float = 0.0
+    marker: float = 0.0  # side of a marker, metres; 0 for a chessboard
 
     def __post_init__(self):
         """Check what OpenCV would answer with an assertion."""

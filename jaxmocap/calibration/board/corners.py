@@ -27,17 +27,12 @@ _COARSE_SIDE = 800
 
 @dataclass(frozen=True)
 class Corners:
-    """Corners of a board detected in one picture.
+    """Corners of a board detected in one picture."""
 
-    Attributes:
-        points_board: (N, 3) in the board's frame, metres.
-        pixels_xy: (N, 2) where they are detected.
-        orders: other readings of the same corners, (N, 2) each, where the board looks the same
-            when it is turned.
-    """
-
-    points_board: np.ndarray
-    pixels_xy: np.ndarray
+    points_board: np.ndarray  # (N, 3) in the board's frame, metres
+    pixels_xy: np.ndarray  # (N, 2) where they are detected
+    # Other readings of the same corners, (N, 2) each, where the board looks the same when it is
+    # turned.
     orders: tuple[np.ndarray, ...] = ()
 
 

@@ -29,27 +29,16 @@ _MAX_NAMED = 8
 
 @dataclass(frozen=True)
 class BoardDetections:
-    """Where a board was found in pictures.
+    """Where a board was found in pictures."""
 
-    Attributes:
-        where: the pictures in a few words, for messages.
-        board: that was looked for.
-        pictures: all that were searched.
-        size: width and height that all have, pixels.
-        views: the board's corners, each different view once.
-        not_found: names of the pictures without a board.
-        duplicates: names of the pictures that show the same as an earlier one.
-        warnings: a sentence for each video.
-    """
-
-    where: str
-    board: Board
-    pictures: tuple[Picture, ...]
-    size: tuple[int, int]
-    views: tuple[BoardView, ...]
-    not_found: tuple[str, ...]
-    duplicates: tuple[str, ...]
-    warnings: tuple[str, ...]
+    where: str  # the pictures in a few words, for messages
+    board: Board  # that was looked for
+    pictures: tuple[Picture, ...]  # all that were searched
+    size: tuple[int, int]  # width and height that all have, pixels
+    views: tuple[BoardView, ...]  # the board's corners, each different view once
+    not_found: tuple[str, ...]  # names of the pictures without a board
+    duplicates: tuple[str, ...]  # names of the pictures that show the same as an earlier one
+    warnings: tuple[str, ...]  # a sentence for each video
 
     def too_few(self) -> str | None:
         """In how few pictures the board was found, and in which it was not; None where enough."""

@@ -29,14 +29,9 @@ _FISHEYE_PRECISION = 1e-10
 
 @dataclass(frozen=True)
 class LensKind:
-    """The lens that a calibration looks for.
+    """The lens that a calibration looks for."""
 
-    Attributes:
-        coefficients: how many of its distortion; the others are 0.
-        fisheye: whether it is a fisheye.
-    """
-
-    coefficients: int = 4
+    coefficients: int = 4  # how many of its distortion; the others are 0
     fisheye: bool = False
 
     @property
@@ -48,19 +43,12 @@ class LensKind:
 
 @dataclass(frozen=True)
 class LensFit:
-    """One calibration.
-
-    Attributes:
-        lens: the result.
-        rms: reprojection error, pixels.
-        values: in the order of the kind's parameters, pixels and plain numbers.
-        std: standard deviations by least squares; 0 of what was held at zero.
-    """
+    """One calibration."""
 
     lens: Intrinsics
-    rms: float
-    values: np.ndarray
-    std: np.ndarray
+    rms: float  # reprojection error, pixels
+    values: np.ndarray  # in the order of the kind's parameters, pixels and plain numbers
+    std: np.ndarray  # standard deviations by least squares; 0 of what was held at zero
 
 
 def project_points(

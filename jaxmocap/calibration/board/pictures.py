@@ -28,17 +28,11 @@ MIN_NEW_DISTANCE = 0.02
 
 @dataclass(frozen=True)
 class Picture:
-    """One photograph, or one frame of a video.
+    """One photograph, or one frame of a video."""
 
-    Attributes:
-        name: for reports: the file's name, with the frame's number for a video.
-        path: of the file.
-        frame: (H, W, 3) BGR of a video's frame; None for a photograph.
-    """
-
-    name: str
-    path: Path
-    frame: np.ndarray | None = None
+    name: str  # for reports: the file's name, with the frame's number for a video
+    path: Path  # of the file
+    frame: np.ndarray | None = None  # (H, W, 3) BGR of a video's frame; None for a photograph
 
     def image(self) -> np.ndarray:
         """(H, W, 3) BGR uint8; InputError where the file is not an image."""

@@ -43,27 +43,17 @@ MAX_LENGTH_M = 0.25
 
 @dataclass(frozen=True)
 class DeviceOffset:
-    """How one device sits on its bone.
+    """How one device sits on its bone."""
 
-    Attributes:
-        place: of the marker; its bone's joint is what it rotated about.
-        offset: (3,) metres, from the joint to the marker, in the marker's axes.
-        covariance: (3, 3) of it, by the scatter between the clip's seconds.
-        joint_rms: metres (RMS) that the joint moved within a second, noise included.
-        rotation_rms: degrees (RMS) that the marker rotated within a second.
-        windows: seconds that were used.
-        orientation: (3, 3) from the marker's axes to the bone's, or None where nobody stood still.
-        orientation_rms: degrees (RMS) that it varied by while standing.
-    """
-
-    place: MarkerPlace
-    offset: np.ndarray
-    covariance: np.ndarray
-    joint_rms: float
-    rotation_rms: float
-    windows: int
+    place: MarkerPlace  # of the marker; its bone's joint is what it rotated about
+    offset: np.ndarray  # (3,) metres, from the joint to the marker, in the marker's axes
+    covariance: np.ndarray  # (3, 3) of it, by the scatter between the clip's seconds
+    joint_rms: float  # metres (RMS) that the joint moved within a second, noise included
+    rotation_rms: float  # degrees (RMS) that the marker rotated within a second
+    windows: int  # seconds that were used
+    # (3, 3) from the marker's axes to the bone's, or None where nobody stood still.
     orientation: np.ndarray | None = None
-    orientation_rms: float = float("nan")
+    orientation_rms: float = float("nan")  # degrees (RMS) that it varied by while standing
 
     @property
     def std(self) -> np.ndarray:

@@ -48,21 +48,16 @@ _ARM_BONES = ("humerus", "radius")
 
 @dataclass(frozen=True)
 class StandingCalibration:
-    """What standing still has measured.
+    """What standing still has measured."""
 
-    Attributes:
-        height: stature, metres; None without a headset.
-        lengths: bone -> metres, of the arms; in a T pose only.
-        orientations: marker -> quaternion, wxyz, from its axes to its bone's.
-        offsets: marker -> (3,) metres in its bone's axes, from its stated place on the bone.
-        warnings: sentences that a user should see.
-    """
-
-    height: float | None
+    height: float | None  # stature, metres; None without a headset
+    # Bone -> metres, of the arms; in a T pose only.
     lengths: Mapping[str, float] = field(default_factory=dict)
+    # Marker -> quaternion, wxyz, from its axes to its bone's.
     orientations: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    # Marker -> (3,) metres in its bone's axes, from its stated place on the bone.
     offsets: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # sentences that a user should see
 
 
 class StandingError(ValueError):

@@ -39,21 +39,13 @@ FRAMES_WORTH = 6.0
 
 
 class LengthsFit(NamedTuple):
-    """Lengths, then girths (P): ``LENGTHS`` and ``GIRTHS``.
+    """Lengths, then girths (P): ``LENGTHS`` and ``GIRTHS``."""
 
-    Attributes:
-        logarithms: (P,) of the factors on what was stated.
-        covariance: (P, P) of them, given the recording.
-        among_people: (P, P) before.
-        trajectory: the motion with them.
-        status: why the solve ended.
-    """
-
-    logarithms: np.ndarray
-    covariance: np.ndarray
-    among_people: np.ndarray
-    trajectory: Trajectory
-    status: Status
+    logarithms: np.ndarray  # (P,) of the factors on what was stated
+    covariance: np.ndarray  # (P, P) of them, given the recording
+    among_people: np.ndarray  # (P, P) before
+    trajectory: Trajectory  # the motion with them
+    status: Status  # why the solve ended
 
     @property
     def before(self) -> np.ndarray:

@@ -43,31 +43,19 @@ FREEDOM = 4.0
 
 
 class MarkedPerson(NamedTuple):
-    """What all samples share.
+    """What all samples share."""
 
-    Attributes:
-        lengths: (P,) logarithms of factors on ``LENGTHS``.
-        shifts: (M, 3) of the markers' offsets, in their bones' axes, metres.
-    """
-
-    lengths: Array
-    shifts: Array
+    lengths: Array  # (P,) logarithms of factors on ``LENGTHS``
+    shifts: Array  # (M, 3) of the markers' offsets, in their bones' axes, metres
 
 
 class PersonFit(NamedTuple):
-    """A person with markers, by K samples.
-
-    Attributes:
-        person: that was found.
-        poses: (K, ...).
-        cost: () of all.
-        covariance: (S, S) of what is shared, P lengths first, then the markers' shifts.
-    """
+    """A person with markers, by K samples."""
 
     person: MarkedPerson
-    poses: Pose
-    cost: Array
-    covariance: Array
+    poses: Pose  # (K, ...)
+    cost: Array  # () of all
+    covariance: Array  # (S, S) of what is shared, P lengths first, then the markers' shifts
 
 
 def fitted_model(model: Model, person: MarkedPerson) -> Model:

@@ -37,33 +37,20 @@ RELATIVE = 1e-4
 
 
 class PosesFit(NamedTuple):
-    """Poses of K samples by their markers.
+    """Poses of K samples by their markers."""
 
-    Attributes:
-        poses: (K, ...).
-        cost: (K,) of each.
-        distances: (K, M) of the markers from their points, metres; NaN where missing.
-    """
-
-    poses: Pose
-    cost: Array
-    distances: Array
+    poses: Pose  # (K, ...)
+    cost: Array  # (K,) of each
+    distances: Array  # (K, M) of the markers from their points, metres; NaN where missing
 
 
 class LinearMarkers(NamedTuple):
-    """A sample about its pose.
+    """A sample about its pose."""
 
-    Attributes:
-        off: (M, 3) markers from their targets, metres.
-        weights: (M,) of their squares.
-        J: (M, 3, N) their derivatives.
-        frames: of the bones.
-    """
-
-    off: Array
-    weights: Array
-    J: Array
-    frames: Frames
+    off: Array  # (M, 3) markers from their targets, metres
+    weights: Array  # (M,) of their squares
+    J: Array  # (M, 3, N) their derivatives
+    frames: Frames  # of the bones
 
 
 def fit_poses(model: Model, start: Pose, targets: Array, tails: Array | float) -> PosesFit:

@@ -23,21 +23,13 @@ BLOCK_DISTANCES = 2**20
 
 
 class BeyondReach(NamedTuple):
-    """Two markers that are too far from one another.
+    """Two markers that are too far from one another."""
 
-    Attributes:
-        marker: the one of them that is oftener too far from any.
-        other: the other.
-        samples: in how many they are.
-        farthest_m: how far, at most.
-        allowed_m: that this body reaches.
-    """
-
-    marker: int
+    marker: int  # the one of them that is oftener too far from any
     other: int
-    samples: int
-    farthest_m: float
-    allowed_m: float
+    samples: int  # in how many they are
+    farthest_m: float  # how far, at most
+    allowed_m: float  # that this body reaches
 
 
 class ReachCounts:

@@ -41,20 +41,13 @@ DISTORTION_MARGIN = 0.5
 
 @dataclass(frozen=True)
 class MarkerVisibility:
-    """How much of the markers a camera covers in time and shows in its image.
+    """How much of the markers a camera covers in time and shows in its image."""
 
-    Attributes:
-        camera: its name.
-        covered_share: share of the marker samples that lie within its video's time.
-        shown_share: share of the markers present in these samples that its image shows; NaN
-            without any.
-        distance_m: metres from the camera to the middle of the markers, median.
-    """
-
-    camera: str
-    covered_share: float
+    camera: str  # its name
+    covered_share: float  # share of the marker samples that lie within its video's time
+    # Share of the markers present in these samples that its image shows; NaN without any.
     shown_share: float
-    distance_m: float
+    distance_m: float  # metres from the camera to the middle of the markers, median
 
 
 def check_recording(recording: Recording, video_times: Sequence[np.ndarray]) -> list[Finding]:

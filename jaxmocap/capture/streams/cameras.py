@@ -50,19 +50,13 @@ _URL = re.compile(r"(?!file:)[a-z][a-z0-9+.-]*://[!-~]+", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class LiveVideo:
-    """One camera that is on.
+    """One camera that is on."""
 
-    Attributes:
-        camera_name: its section in the calibration.
-        camera: its calibration.
-        source: index of a device, path of a file, or address of a network stream.
-        offset: seconds to add to a frame's arrival to get when it was exposed, on the markers'
-            clock; negative by the camera's delay.
-    """
-
-    camera_name: str
-    camera: Camera
-    source: int | Path | str
+    camera_name: str  # its section in the calibration
+    camera: Camera  # its calibration
+    source: int | Path | str  # index of a device, path of a file, or address of a network stream
+    # Seconds to add to a frame's arrival to get when it was exposed, on the markers' clock;
+    # negative by the camera's delay.
     offset: float = 0.0
 
 

@@ -13,19 +13,12 @@ from jaxmocap.capture.streams.sample_assembly import MarkerSample
 
 
 class LiveFrame(NamedTuple):
-    """One camera's image.
+    """One camera's image."""
 
-    Attributes:
-        camera: its index.
-        time: when it was exposed, seconds.
-        image: (H, W, 3) BGR or (H, W), uint8.
-        arrived: when it came in, seconds on the same clock.
-    """
-
-    camera: int
-    time: float
-    image: np.ndarray
-    arrived: float
+    camera: int  # its index
+    time: float  # when it was exposed, seconds
+    image: np.ndarray  # (H, W, 3) BGR or (H, W), uint8
+    arrived: float  # when it came in, seconds on the same clock
 
 
 class Inbox:

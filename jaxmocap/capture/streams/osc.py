@@ -49,33 +49,23 @@ class BadPacketError(Exception):
 
 
 class MarkerMessage(NamedTuple):
-    """One marker of a packet.
+    """One marker of a packet."""
 
-    Attributes:
-        names: what it may be called, the first that is a marker's counts.
-        position: (x, y, z) metres, the sender's axes; None where only its orientation is sent.
-        orientation: quaternion (x, y, z, w) from its own axes to the sender's, or None.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # what it may be called, the first that is a marker's counts
+    # (x, y, z) metres, the sender's axes; None where only its orientation is sent.
     position: tuple[float, float, float] | None
+    # Quaternion (x, y, z, w) from its own axes to the sender's, or None.
     orientation: tuple[float, float, float, float] | None = None
 
 
 class Packet(NamedTuple):
-    """What one datagram holds.
+    """What one datagram holds."""
 
-    Attributes:
-        markers: its markers; none where it is about something else.
-        stamp: the sender's seconds, or None where it does not say.
-        is_bundle: whether it is a bundle, which holds all that belongs together.
-        ignored: why messages about markers are ignored: "malformed", "absurd", and "scaled" where
-            devices come scaled to an avatar only, and are wanted as tracked; each once.
-    """
-
-    markers: tuple[MarkerMessage, ...]
-    stamp: float | None
-    is_bundle: bool
+    markers: tuple[MarkerMessage, ...]  # its markers; none where it is about something else
+    stamp: float | None  # the sender's seconds, or None where it does not say
+    is_bundle: bool  # whether it is a bundle, which holds all that belongs together
+    # Why messages about markers are ignored: "malformed", "absurd", and "scaled" where devices come
+    # scaled to an avatar only, and are wanted as tracked; each once.
     ignored: tuple[str, ...] = ()
 
 

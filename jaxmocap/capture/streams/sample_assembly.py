@@ -21,31 +21,20 @@ ORIENTATION_VALID_S = 0.05
 
 
 class MarkerMeasurements(NamedTuple):
-    """What the senders measured of M markers.
+    """What the senders measured of M markers."""
 
-    Attributes:
-        positions_world: (M, 3) metres; NaN where missing.
-        orientations_world: (M, 3, 3) from their own axes, taken to the world's as the sender's are;
-            NaN where missing.
-    """
-
-    positions_world: np.ndarray
+    positions_world: np.ndarray  # (M, 3) metres; NaN where missing
+    # (M, 3, 3) from their own axes, taken to the world's as the sender's are; NaN where missing.
     orientations_world: np.ndarray
 
 
 class MarkerSample(NamedTuple):
-    """All points at one time.
+    """All points at one time."""
 
-    Attributes:
-        time: seconds.
-        positions_world: (P, 3) metres of the points on bones; NaN where missing.
-        arrived: when its last packet came in, seconds on the same clock.
-        measurements: what they were made of; None where markers are the points.
-    """
-
-    time: float
-    positions_world: np.ndarray
-    arrived: float
+    time: float  # seconds
+    positions_world: np.ndarray  # (P, 3) metres of the points on bones; NaN where missing
+    arrived: float  # when its last packet came in, seconds on the same clock
+    # What they were made of; None where markers are the points.
     measurements: MarkerMeasurements | None = None
 
 

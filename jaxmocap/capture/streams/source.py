@@ -77,20 +77,14 @@ class MarkerSource(Listener):
 
 
 class SourceTable(ABC):
-    """A table of the live file that asks for a source.
+    """A table of the live file that asks for a source."""
 
-    Attributes:
-        kind: of the source.
-        keys: of the table.
-        aliases: name that a sender uses -> marker.
-        headsets: names of markers whose axes are a head's: x ahead, y left, z up.
-        R_world_source: (3, 3) to the world's axes, where [markers] states none.
-    """
-
-    kind: ClassVar[Callable[..., MarkerSource]]
-    keys: ClassVar[tuple[str, ...]]
-    aliases: Mapping[str, str] = MappingProxyType({})
+    kind: ClassVar[Callable[..., MarkerSource]]  # of the source
+    keys: ClassVar[tuple[str, ...]]  # of the table
+    aliases: Mapping[str, str] = MappingProxyType({})  # name that a sender uses -> marker
+    # Names of markers whose axes are a head's: x ahead, y left, z up.
     headsets: Collection[str] = ()
+    # (3, 3) to the world's axes, where [markers] states none.
     R_world_source: ClassVar[np.ndarray] = np.eye(3)
 
     @classmethod

@@ -173,20 +173,15 @@ def _bound_socket(address: Address) -> socket.socket:
 
 @dataclass(frozen=True)
 class OscTable(SourceTable):
-    """``[osc]``.
-
-    Attributes:
-        listen: where it comes in.
-        allowed: networks whose packets count; what other hosts send is counted and ignored.
-        raw: see ``osc.parse_packet``.
-    """
+    """``[osc]``."""
 
     kind, keys = MarkerSocket, ("listen", "from", "names", "raw")
     R_world_source = R_WORLD_UNITY
-    listen: Address = DEFAULT_LISTEN
+    listen: Address = DEFAULT_LISTEN  # where it comes in
+    # Networks whose packets count; what other hosts send is counted and ignored.
     allowed: tuple[Network, ...] = LOOPBACK
     aliases: Mapping[str, str] = field(default_factory=dict)
-    raw: bool = False
+    raw: bool = False  # see ``osc.parse_packet``
 
     @classmethod
     def read(cls, fields: TomlTable, markers: Collection[str]) -> "OscTable":

@@ -77,17 +77,11 @@ SHOE_M = 0.06
 
 @dataclass(frozen=True)
 class AppearanceModel:
-    """What one camera's frames taught.
+    """What one camera's frames taught."""
 
-    Attributes:
-        background: without the person.
-        person: colours against the rest.
-        forearms: colours against the rest of the body.
-    """
-
-    background: Background
-    person: Colours
-    forearms: Colours
+    background: Background  # without the person
+    person: Colours  # colours against the rest
+    forearms: Colours  # colours against the rest of the body
 
 
 def in_image(skeleton: Skeleton, camera: Camera, pose: Pose) -> tuple[Discs, Array]:
@@ -103,21 +97,13 @@ _all_in_image = Program(jax.vmap(in_image, (None, None, 0)), "all_in_image")
 
 @dataclass(frozen=True)
 class Drawing:
-    """The body as poses put it into the shrunk images.
+    """The body as poses put it into the shrunk images."""
 
-    Attributes:
-        discs: (F, K) limbs, pixels of the shrunk images; the radii of all the limbs' ends.
-        per_metre: (F,) pixels of a metre at the person.
-        size: width and height of the shrunk images.
-        ratio: (2,) their size over that of the full ones.
-        tree: of the K bones.
-    """
-
-    discs: Discs
-    per_metre: np.ndarray
-    size: tuple[int, int]
-    ratio: np.ndarray
-    tree: Tree
+    discs: Discs  # (F, K) limbs, pixels of the shrunk images; the radii of all the limbs' ends
+    per_metre: np.ndarray  # (F,) pixels of a metre at the person
+    size: tuple[int, int]  # width and height of the shrunk images
+    ratio: np.ndarray  # (2,) their size over that of the full ones
+    tree: Tree  # of the K bones
 
     @classmethod
     def of(
@@ -186,15 +172,10 @@ def _bones_but(tree: Tree, only: tuple[str, ...] | None, without: tuple[str, ...
 
 
 class Regions(NamedTuple):
-    """Where F frames, or one, are looked at.
+    """Where F frames, or one, are looked at."""
 
-    Attributes:
-        upper: around the upper half.
-        lower: around the legs.
-    """
-
-    upper: Region
-    lower: Region
+    upper: Region  # around the upper half
+    lower: Region  # around the legs
 
     @classmethod
     def around(cls, skeleton: Skeleton, camera: Camera, poses: Pose) -> "Regions":

@@ -68,19 +68,12 @@ NO_GRIDS = SilhouetteGrids(
 
 
 class MeasuredFrame(NamedTuple):
-    """A frame that has been looked at, to be learned from later.
+    """A frame that has been looked at, to be learned from later."""
 
-    Attributes:
-        image: (h, w, 3) BGR, shrunk.
-        odds: (h, w) that a pixel shows the person.
-        is_learned: (h, w) whether the background there was learned.
-        grids: of the person.
-    """
-
-    image: np.ndarray
-    odds: np.ndarray
-    is_learned: np.ndarray
-    grids: SilhouetteGrids
+    image: np.ndarray  # (h, w, 3) BGR, shrunk
+    odds: np.ndarray  # (h, w) that a pixel shows the person
+    is_learned: np.ndarray  # (h, w) whether the background there was learned
+    grids: SilhouetteGrids  # of the person
 
 
 class _Projected(NamedTuple):
@@ -101,19 +94,12 @@ def _projected(skeleton: Skeleton, camera: Camera, pose: Array) -> Array:
 
 @dataclass
 class _Window:
-    """A region that follows some landmarks at a scale that hardly changes.
+    """A region that follows some landmarks at a scale that hardly changes."""
 
-    Attributes:
-        landmarks: (K,) which.
-        cells: to a side.
-        margin: around them, as a share of their extent.
-        side: of the region so far, pixels.
-    """
-
-    landmarks: np.ndarray
-    cells: int
-    margin: float
-    side: float = 0.0
+    landmarks: np.ndarray  # (K,) which
+    cells: int  # to a side
+    margin: float  # around them, as a share of their extent
+    side: float = 0.0  # of the region so far, pixels
 
     def region(self, pixels: np.ndarray) -> Region:
         """The region about these of all landmarks (L, 2)."""

@@ -47,19 +47,12 @@ BORDER_PX = 2.0
 
 
 class TracedOutline(NamedTuple):
-    """An arm's outline in one camera, samples over the distance fields.
+    """An arm's outline in one camera, samples over the distance fields."""
 
-    Attributes:
-        points: (3, K, 2) of the three limbs, on the plane z = 1.
-        distances_px: (3, K) to the nearest edge of each point's direction, pixels.
-        metres_per_px: (3, 1) at the limbs' depth.
-        weights: (3, K) length of outline that each point stands for; 0 outside the image.
-    """
-
-    points: Array
-    distances_px: Array
-    metres_per_px: Array
-    weights: Array
+    points: Array  # (3, K, 2) of the three limbs, on the plane z = 1
+    distances_px: Array  # (3, K) to the nearest edge of each point's direction, pixels
+    metres_per_px: Array  # (3, 1) at the limbs' depth
+    weights: Array  # (3, K) length of outline that each point stands for; 0 outside the image
 
 
 class _Samples(NamedTuple):

@@ -29,27 +29,20 @@ class BeyondFormatError(InputError):
 
 @dataclass(frozen=True)
 class Armature:
-    """J joints over T samples, in a file's axes or in the world's.
+    """J joints over T samples, in a file's axes or in the world's."""
 
-    Attributes:
-        names: of the joints, parents before children. Ends of limbs are joints too.
-        parents: index of each one's parent; −1 for the first, the root, and for it only.
-        offsets: (J, 3) metres, from the parent's joint in the rest pose; the root's is 0.
-        times: (T,) seconds, ascending.
-        positions: (T, 3) of the root, metres; NaN where the pose is unknown.
-        rotations: (T, J, 3, 3) of each joint in its parent's frame, the root's in the file's;
-            identity in the rest pose; NaN where the pose is unknown. Of a motion of ours some rows
-            at a time are computed.
-        radii: (J, 2) of the flesh from the parent's joint to this one, at both ends, metres; or
-            None where it is not specified.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # Of the joints, parents before children. Ends of limbs are joints too.
+    # Index of each one's parent; −1 for the first, the root, and for it only.
     parents: tuple[int, ...]
-    offsets: np.ndarray
-    times: np.ndarray
-    positions: np.ndarray
+    offsets: np.ndarray  # (J, 3) metres, from the parent's joint in the rest pose; the root's is 0
+    times: np.ndarray  # (T,) seconds, ascending
+    positions: np.ndarray  # (T, 3) of the root, metres; NaN where the pose is unknown
+    # (T, J, 3, 3) of each joint in its parent's frame, the root's in the file's; identity in the
+    # rest pose; NaN where the pose is unknown. Of a motion of ours some rows at a time are
+    # computed.
     rotations: Rows
+    # (J, 2) of the flesh from the parent's joint to this one, at both ends, metres; or None where
+    # it is not specified.
     radii: np.ndarray | None = None
 
     @property

@@ -31,27 +31,17 @@ SHORTEST_LIMB_M = 1e-4
 
 @dataclass(frozen=True)
 class SkinnedMesh:
-    """V vertices and F triangles on J joints.
+    """V vertices and F triangles on J joints."""
 
-    Attributes:
-        vertices: (V, 3) where they are bound, metres.
-        normals: (V, 3) unit, outward.
-        triangles: (F, 3) of vertices, counter-clockwise from outside.
-        joints: (V, 4) which carry a vertex.
-        weights: (V, 4) of them, together 1.
-        bind: (J, 4, 4) from where vertices are bound to each joint's frame.
-        texture_xy: (V, 2) on the picture, from 0 to 1, rightwards and downwards; or None.
-        texture: a PNG file's content; or None.
-    """
-
-    vertices: np.ndarray
-    normals: np.ndarray
-    triangles: np.ndarray
-    joints: np.ndarray
-    weights: np.ndarray
-    bind: np.ndarray
+    vertices: np.ndarray  # (V, 3) where they are bound, metres
+    normals: np.ndarray  # (V, 3) unit, outward
+    triangles: np.ndarray  # (F, 3) of vertices, counter-clockwise from outside
+    joints: np.ndarray  # (V, 4) which carry a vertex
+    weights: np.ndarray  # (V, 4) of them, together 1
+    bind: np.ndarray  # (J, 4, 4) from where vertices are bound to each joint's frame
+    # (V, 2) on the picture, from 0 to 1, rightwards and downwards; or None.
     texture_xy: np.ndarray | None = None
-    texture: bytes | None = None
+    texture: bytes | None = None  # a PNG file's content; or None
 
 
 def limb_mesh(armature: Armature) -> SkinnedMesh:

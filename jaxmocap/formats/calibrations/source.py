@@ -24,43 +24,28 @@ YAML_START = (b"%YAML", b"---")
 
 @dataclass(frozen=True)
 class Source:
-    """A file that may be a calibration, parsed by its kind.
+    """A file that may be a calibration, parsed by its kind."""
 
-    Attributes:
-        path: of the file or folder.
-        xml: an element that holds the root of an XML file, else nothing.
-        toml: tables of a TOML file.
-        yaml: entries of a file of OpenCV's YAML.
-        pickled: what a pickle holds.
-    """
-
-    path: Path
+    path: Path  # of the file or folder
+    # An element that holds the root of an XML file, else nothing.
     xml: Element = field(default_factory=lambda: Element("file"))
-    toml: Mapping[str, Any] = field(default_factory=dict)
-    yaml: Mapping[str, Any] = field(default_factory=dict)
-    pickled: Any = None
+    toml: Mapping[str, Any] = field(default_factory=dict)  # tables of a TOML file
+    yaml: Mapping[str, Any] = field(default_factory=dict)  # entries of a file of OpenCV's YAML
+    pickled: Any = None  # what a pickle holds
 
 
 @dataclass(frozen=True)
 class SourceCalibration:
-    """All cameras of a calibration, in the file's own unit and axes.
+    """All cameras of a calibration, in the file's own unit and axes."""
 
-    Attributes:
-        cameras: name and section of each: size (missing where the file does not state it), matrix,
-            distortions, fisheye, rotation and translation as in our own files.
-        unit: of its lengths, a key of ``tables.UNITS``.
-        up: its axis that points up, a key of ``registry.R_WORLD_OF_SOURCE_UP``.
-        states_unit: whether the unit is the system's own; else a user may state another.
-        assumed_up: what was assumed about the axis, where it is not documented; else empty.
-        notes: sentences about what was left out or assumed.
-    """
-
+    # Name and section of each: size (missing where the file does not state it), matrix,
+    # distortions, fisheye, rotation and translation as in our own files.
     cameras: Sequence[tuple[str, TomlTable]]
-    unit: str
-    up: str
-    states_unit: bool = True
-    assumed_up: str = ""
-    notes: Sequence[str] = ()
+    unit: str  # of its lengths, a key of ``tables.UNITS``
+    up: str  # its axis that points up, a key of ``registry.R_WORLD_OF_SOURCE_UP``
+    states_unit: bool = True  # whether the unit is the system's own; else a user may state another
+    assumed_up: str = ""  # what was assumed about the axis, where it is not documented; else empty
+    notes: Sequence[str] = ()  # sentences about what was left out or assumed
 
 
 def open_source(path: Path) -> Source:

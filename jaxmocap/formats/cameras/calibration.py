@@ -45,17 +45,11 @@ _Section = TypeVar("_Section")
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A camera's intrinsics, in double precision, as files hold them.
+    """A camera's intrinsics, in double precision, as files hold them."""
 
-    Attributes:
-        size: (2,) width and height, pixels.
-        matrix: (3, 3) intrinsic matrix, pixels.
-        distortions: up to 8 of OpenCV's k1 k2 p1 p2 k3 k4 k5 k6; of a fisheye up to 4, k1 k2 k3 k4.
-        fisheye: whether it is one.
-    """
-
-    size: np.ndarray
-    matrix: np.ndarray
+    size: np.ndarray  # (2,) width and height, pixels
+    matrix: np.ndarray  # (3, 3) intrinsic matrix, pixels
+    # Up to 8 of OpenCV's k1 k2 p1 p2 k3 k4 k5 k6; of a fisheye up to 4, k1 k2 k3 k4.
     distortions: np.ndarray
     fisheye: bool = False
 

@@ -27,15 +27,10 @@ MAX_HOST_CHARACTERS = 253
 
 
 class Address(NamedTuple):
-    """Where packets come in or go out.
+    """Where packets come in or go out."""
 
-    Attributes:
-        host: name or number; the loopback interface unless stated otherwise.
-        port: of UDP.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 0
+    host: str = "127.0.0.1"  # name or number; the loopback interface unless stated otherwise
+    port: int = 0  # of UDP
 
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host

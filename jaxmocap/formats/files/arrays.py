@@ -53,25 +53,17 @@ _READERS = {
 
 @dataclass(frozen=True)
 class ArraySpec:
-    """What a format states of an array.
+    """What a format states of an array."""
 
-    Attributes:
-        shape: a number, or a name for what other arrays have as many of; ``*`` is any number.
-        kind: NUMBERS, INTEGERS, BYTES (any), NAMES (short, printable, not empty) or TEXT.
-        low: the smallest number.
-        high: the largest number; it is finite if this is.
-        allow_nan: whether NaN may stand for what is missing.
-        allow_infinity: whether infinity may stand for what has no bound.
-        max_characters: characters of each text.
-    """
-
+    # A number, or a name for what other arrays have as many of; ``*`` is any number.
     shape: tuple[str | int, ...]
+    # NUMBERS, INTEGERS, BYTES (any), NAMES (short, printable, not empty) or TEXT.
     kind: str = NUMBERS
-    low: float = -math.inf
-    high: float = math.inf
-    allow_nan: bool = False
-    allow_infinity: bool = False
-    max_characters: int = MAX_NAME_CHARACTERS
+    low: float = -math.inf  # the smallest number
+    high: float = math.inf  # the largest number; it is finite if this is
+    allow_nan: bool = False  # whether NaN may stand for what is missing
+    allow_infinity: bool = False  # whether infinity may stand for what has no bound
+    max_characters: int = MAX_NAME_CHARACTERS  # characters of each text
 
 
 def float_array(value: Any) -> np.ndarray:

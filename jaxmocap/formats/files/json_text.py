@@ -79,17 +79,11 @@ def _reason(error: ValueError) -> str:
 
 @dataclass(frozen=True)
 class JsonPart:
-    """One value of a document.
+    """One value of a document."""
 
-    Attributes:
-        path: of the file.
-        place: where it stands, such as ``nodes[3].rotation``; empty for the document.
-        value: as parsed.
-    """
-
-    path: str | Path
-    place: str
-    value: Any
+    path: str | Path  # of the file
+    place: str  # where it stands, such as ``nodes[3].rotation``; empty for the document
+    value: Any  # as parsed
 
     def error(self, problem: str) -> InputError:
         """An error about this part."""

@@ -39,15 +39,10 @@ MAX_LIST_BYTES = 16 * 2**20
 
 
 class ListedFile(NamedTuple):
-    """What the list says of a file.
+    """What the list says of a file."""
 
-    Attributes:
-        kind: of run that wrote it.
-        digests: SHA-256 that it may have: two while one version replaces the other.
-    """
-
-    kind: str
-    digests: tuple[str, ...]
+    kind: str  # of run that wrote it
+    digests: tuple[str, ...]  # SHA-256 that it may have: two while one version replaces the other
 
 
 class OutputFolder:

@@ -105,19 +105,12 @@ _SIDES = (("L", "l"), ("R", "r"))
 
 @dataclass(frozen=True)
 class MarkerSet:
-    """A set of markers and what a file has of it.
-
-    Attributes:
-        name: of the set.
-        entries: label in the file -> its entry, as of [markers.on].
-        missing: markers of the set that the file does not have, or never measures.
-        unused: labels in the file that the set names but does not place on this body.
-    """
+    """A set of markers and what a file has of it."""
 
     name: str
-    entries: dict[str, dict[str, Any]]
-    missing: tuple[str, ...]
-    unused: tuple[str, ...]
+    entries: dict[str, dict[str, Any]]  # label in the file -> its entry, as of [markers.on]
+    missing: tuple[str, ...]  # markers of the set that the file does not have, or never measures
+    unused: tuple[str, ...]  # labels in the file that the set names but does not place on this body
 
     def sentence(self) -> str:
         """What was found, in one line."""

@@ -77,21 +77,13 @@ ANKLE_AXIS, SUBTALAR_AXIS = _axis(_ANKLE_TURN), _axis(_SUBTALAR_TURN)
 
 
 class Limb(NamedTuple):
-    """A limb of two segments, over K values of the coordinate between them.
+    """A limb of two segments, over K values of the coordinate between them."""
 
-    Attributes:
-        near: (3,) unit vector along the near segment, in its body.
-        length: of that segment in the unscaled model, metres.
-        angles: (K,) of the coordinate, radians, ascending.
-        bends: (K,) between the two segments' lines, radians, ascending; 0 is straight.
-        normals: (K, 3) unit axes about which the far segment is bent, in the near body.
-    """
-
-    near: np.ndarray
-    length: float
-    angles: np.ndarray
-    bends: np.ndarray
-    normals: np.ndarray
+    near: np.ndarray  # (3,) unit vector along the near segment, in its body
+    length: float  # of that segment in the unscaled model, metres
+    angles: np.ndarray  # (K,) of the coordinate, radians, ascending
+    bends: np.ndarray  # (K,) between the two segments' lines, radians, ascending; 0 is straight
+    normals: np.ndarray  # (K, 3) unit axes about which the far segment is bent, in the near body
 
     def bent(self, bends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The coordinate (T,) and the axis (T, 3) at (T,) bends, radians."""

@@ -22,31 +22,21 @@ class OneEuroSettings:
     At rest it lags by 1 / (2 pi cutoff) seconds; at any steady speed it stays behind by less than
     1 / (2 pi beta) metres. As they are, a hand at rest keeps 0.44 of its jitter, and one that
     strikes at 5 m/s stays behind by 4 mm at most.
-
-    Attributes:
-        cutoff: Hz, of a marker at rest.
-        beta: Hz that the cut-off rises by for every metre per second.
     """
 
-    cutoff: float = 3.0
-    beta: float = 60.0
+    cutoff: float = 3.0  # Hz, of a marker at rest
+    beta: float = 60.0  # Hz that the cut-off rises by for every metre per second
 
 
 @dataclass(frozen=True)
 class Filters:
-    """Which filters markers go through, in this order; nothing by default.
+    """Which filters markers go through, in this order; nothing by default."""
 
-    Attributes:
-        hampel: take outliers for missing.
-        gaps: fill in what is missing for up to so many seconds; 0 fills nothing.
-        butterworth: cut-off of the zero-phase low-pass, Hz, or None.
-        one_euro: of the filter without look-ahead, which is for ``--causal`` and ``live`` only,
-            as the three above are for all else; or None.
-    """
-
-    hampel: bool = False
-    gaps: float = 0.0
-    butterworth: float | None = None
+    hampel: bool = False  # take outliers for missing
+    gaps: float = 0.0  # fill in what is missing for up to so many seconds; 0 fills nothing
+    butterworth: float | None = None  # cut-off of the zero-phase low-pass, Hz, or None
+    # Of the filter without look-ahead, which is for ``--causal`` and ``live`` only, as the three
+    # above are for all else; or None.
     one_euro: OneEuroSettings | None = None
 
 

@@ -45,20 +45,14 @@ MAX_FOLDER_BYTES = 2**30
 
 @dataclass(frozen=True)
 class KeypointFrame:
-    """Everybody in one frame.
+    """Everybody in one frame."""
 
-    Attributes:
-        number: of the frame, as its file counts.
-        people: (K, 3) pixels x, y and confidence of each; NaN, NaN, 0 where missing. (K, 6) where
-            the file has joints: x, y, z about the hips' middle, camera's axes, metres.
-        points: names of the K points where the file gives them.
-        file: that it is in.
-    """
-
-    number: int
+    number: int  # of the frame, as its file counts
+    # (K, 3) pixels x, y and confidence of each; NaN, NaN, 0 where missing. (K, 6) where the file has
+    # joints: x, y, z about the hips' middle, in the camera's axes, metres.
     people: list[np.ndarray]
-    points: tuple[str, ...] | None
-    file: Path
+    points: tuple[str, ...] | None  # names of the K points where the file gives them
+    file: Path  # that it is in
 
 
 def json_files(folder: Path) -> list[Path]:

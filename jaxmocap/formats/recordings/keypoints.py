@@ -31,25 +31,16 @@ _OVERHEAD_POINTS = 8
 
 @dataclass(frozen=True)
 class Detections:
-    """What a detector saw in F frames, of at most N people in each.
+    """What a detector saw in F frames, of at most N people in each."""
 
-    Attributes:
-        numbers: (F,) frame numbers as the files count them, ascending.
-        landmarks: names of the P points, landmarks of ours.
-        pixels_xy: (F, N, P, 2) pixels of the video; NaN where missing.
-        confidences: (F, N, P) between 0 and 1; 0 where missing.
-        name: the folder or file, for messages.
-        warnings: sentences that a user should see.
-        joints_cam: (F, N, P, 3) metres about the hips' middle, in the camera's axes, where the
-            detector estimates them; NaN where missing.
-    """
-
-    numbers: np.ndarray
-    landmarks: tuple[str, ...]
-    pixels_xy: np.ndarray
-    confidences: np.ndarray
-    name: str = "key points in memory"
-    warnings: tuple[str, ...] = ()
+    numbers: np.ndarray  # (F,) frame numbers as the files count them, ascending
+    landmarks: tuple[str, ...]  # names of the P points, landmarks of ours
+    pixels_xy: np.ndarray  # (F, N, P, 2) pixels of the video; NaN where missing
+    confidences: np.ndarray  # (F, N, P) between 0 and 1; 0 where missing
+    name: str = "key points in memory"  # the folder or file, for messages
+    warnings: tuple[str, ...] = ()  # sentences that a user should see
+    # (F, N, P, 3) metres about the hips' middle, in the camera's axes, where the detector estimates
+    # them; NaN where missing.
     joints_cam: np.ndarray | None = None
 
     def __post_init__(self):

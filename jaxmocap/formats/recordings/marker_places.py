@@ -33,26 +33,17 @@ BONES_BEYOND_WRISTS = ("neck", "head", "radius_l", "radius_r", "hand_l", "hand_r
 
 @dataclass(frozen=True)
 class MarkerPlace:
-    """Where a marker sits on the body.
-
-    Attributes:
-        name: of the marker.
-        bone: name of the bone.
-        at: fraction of the bone's length from its joint.
-        offset: metres, from that point to the marker.
-        offset_in: whose axes the offset is in, ``bone`` or ``marker``.
-        orientation: unit quaternion, wxyz, that takes the marker's axes to the bone's (``turn`` in
-            the file); None where the marker's orientation is not used.
-        lever: metres that weigh as much as a radian.
-    """
+    """Where a marker sits on the body."""
 
     name: str
-    bone: str
-    at: float = 1.0
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    offset_in: str = "bone"
+    bone: str  # name of the bone
+    at: float = 1.0  # fraction of the bone's length from its joint
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # metres, from that point to the marker
+    offset_in: str = "bone"  # whose axes the offset is in, ``bone`` or ``marker``
+    # Unit quaternion, wxyz, that takes the marker's axes to the bone's (``turn`` in the file); None
+    # where the marker's orientation is not used.
     orientation: tuple[float, float, float, float] | None = None
-    lever: float = LEVER_M
+    lever: float = LEVER_M  # metres that weigh as much as a radian
 
     @property
     def needs_orientation(self) -> bool:

@@ -70,24 +70,15 @@ _SHOULDER = ((-180, 180), (-180, 0), (-180, 180))
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint coordinate system.
+    """One joint coordinate system."""
 
-    Attributes:
-        name: of the joint, without side.
-        proximal: bone of the segment that stays fixed; None is the pelvis.
-        distal: bone of the segment that turns; None is the pelvis.
-        order: of the three turns, about the axes that the earlier ones leave.
-        angles: their names.
-        signs: what a positive angle is multiplied with.
-        ranges: of the three turns, degrees, to which their angles keep where they can.
-    """
-
-    name: str
-    proximal: str | None
-    distal: str | None
-    order: str
-    angles: tuple[str, str, str]
-    signs: tuple[int, int, int] = (1, 1, 1)
+    name: str  # of the joint, without side
+    proximal: str | None  # bone of the segment that stays fixed; None is the pelvis
+    distal: str | None  # bone of the segment that turns; None is the pelvis
+    order: str  # of the three turns, about the axes that the earlier ones leave
+    angles: tuple[str, str, str]  # their names
+    signs: tuple[int, int, int] = (1, 1, 1)  # what a positive angle is multiplied with
+    # Of the three turns, degrees, to which their angles keep where they can.
     ranges: tuple[Range, Range, Range] = ((-180, 180), (-90, 90), (-180, 180))
 
 

@@ -58,19 +58,12 @@ def even_times(
 
 
 class Interpolation(NamedTuple):
-    """The two samples that each of N times lies between, and how far.
+    """The two samples that each of N times lies between, and how far."""
 
-    Attributes:
-        before: (N,) index of the sample before.
-        after: (N,) index of the one after; the same where the time is a sample's own.
-        fraction: (N,) how far it is from the one to the other, 0 to 1.
-        in_gap: (N,) is it within a gap?
-    """
-
-    before: np.ndarray
-    after: np.ndarray
-    fraction: np.ndarray
-    in_gap: np.ndarray
+    before: np.ndarray  # (N,) index of the sample before
+    after: np.ndarray  # (N,) index of the one after; the same where the time is a sample's own
+    fraction: np.ndarray  # (N,) how far it is from the one to the other, 0 to 1
+    in_gap: np.ndarray  # (N,) is it within a gap?
 
     def at(self, rows: Index) -> "Interpolation":
         """Of some of the times."""

@@ -40,28 +40,23 @@ _MAX_DIGITS = 18
 
 @dataclass(frozen=True)
 class Markers:
-    """Labelled points over T samples.
+    """Labelled points over T samples."""
 
-    Attributes:
-        times: (T,) seconds, float64, ascending.
-        names: of the M markers.
-        positions: (T, M, 3) metres, float64, in the file's own axes; all three NaN where missing.
-        residuals: (T, M) metres, how far apart the rays of each point were, NaN where it is
-            missing; or None where the file says nothing of them (only C3D does).
-        rate: samples per second as the file's header states them, whatever its time stamps say;
-            or None where it has no such field (only TRC has both).
-        orientations: (T, M, 3, 3) rotations from each marker's own axes to the file's, NaN where
-            missing; or None where no marker has any.
-        at_zero: marker -> how many positions the file has at exactly (0, 0, 0), which some
-            writers have for missing ones; without markers that have none.
-    """
-
-    times: np.ndarray
-    names: tuple[str, ...]
+    times: np.ndarray  # (T,) seconds, float64, ascending
+    names: tuple[str, ...]  # of the M markers
+    # (T, M, 3) metres, float64, in the file's own axes; all three NaN where missing.
     positions: np.ndarray
+    # (T, M) metres, how far apart the rays of each point were, NaN where it is missing; or None
+    # where the file says nothing of them (only C3D does).
     residuals: np.ndarray | None = None
+    # Samples per second as the file's header states them, whatever its time stamps say; or None
+    # where it has no such field (only TRC has both).
     rate: float | None = None
+    # (T, M, 3, 3) rotations from each marker's own axes to the file's, NaN where missing; or None
+    # where no marker has any.
     orientations: np.ndarray | None = None
+    # Marker -> how many positions the file has at exactly (0, 0, 0), which some writers have for
+    # missing ones; without markers that have none.
     at_zero: Mapping[str, int] = field(default_factory=dict)
 
     def points(self) -> dict[str, np.ndarray]:

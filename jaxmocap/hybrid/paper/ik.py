@@ -39,17 +39,11 @@ ROUNDS = 2
 
 
 class _Effectors(NamedTuple):
-    """K end effectors about a pose: the residuals of some terms, in three-vectors.
+    """K end effectors about a pose: the residuals of some terms, in three-vectors."""
 
-    Attributes:
-        J: (3K, 6 + D) their derivatives by the weighted degrees of freedom.
-        error: (3K,) what the residuals lack, clamped (4.1).
-        missed: () the largest residual, metres; infinite where one is not a length.
-    """
-
-    J: Array
-    error: Array
-    missed: Array
+    J: Array  # (3K, 6 + D) their derivatives by the weighted degrees of freedom
+    error: Array  # (3K,) what the residuals lack, clamped (4.1)
+    missed: Array  # () the largest residual, metres; infinite where one is not a length
 
 
 def secondary_task(skeleton: Skeleton, frames: Frames, pose: Pose, settings: IKSettings) -> Array:

@@ -20,15 +20,10 @@ from jaxmocap.formats.time_series.axes import R_WORLD_UNITY
 
 
 class Joints(NamedTuple):
-    """J joints in Unity's frame.
+    """J joints in Unity's frame."""
 
-    Attributes:
-        positions: (J, 3) metres.
-        quaternions: (J, 4) xyzw.
-    """
-
-    positions: np.ndarray
-    quaternions: np.ndarray
+    positions: np.ndarray  # (J, 3) metres
+    quaternions: np.ndarray  # (J, 4) xyzw
 
 
 class UnityBody:

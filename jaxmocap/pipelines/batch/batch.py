@@ -45,23 +45,14 @@ TABLES = ("corpus.csv", "failures.json")
 
 @dataclass(frozen=True)
 class Job:
-    """One recording to be tracked; all that is sent to the process that tracks it.
+    """One recording to be tracked; all that is sent to the process that tracks it."""
 
-    Attributes:
-        name: of the recording within the corpus.
-        recording: its file, an absolute path.
-        folder: for its outputs, an absolute path.
-        settings: of the tracker.
-        mode: see ``track``.
-        inputs: all files that are read.
-    """
-
-    name: str
-    recording: Path
-    folder: Path
-    settings: Settings
-    mode: Mode
-    inputs: tuple[Path, ...] = ()
+    name: str  # of the recording within the corpus
+    recording: Path  # its file, an absolute path
+    folder: Path  # for its outputs, an absolute path
+    settings: Settings  # of the tracker
+    mode: Mode  # see ``track``
+    inputs: tuple[Path, ...] = ()  # all files that are read
 
 
 @dataclass(frozen=True)

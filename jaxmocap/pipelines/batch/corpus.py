@@ -29,29 +29,19 @@ RECORD_FILE = "batch.json"
 
 @dataclass(frozen=True)
 class CorpusRow:
-    """One recording's results.
+    """One recording's results."""
 
-    Attributes:
-        recording: its path within the corpus.
-        frames: marker samples.
-        seconds: from the first sample to the last.
-        ms_per_frame: tracking by the video's frames (samples without video), milliseconds.
-        took_s: from reading its file to the last output.
-        deviation_left_m: median standard deviation of the left elbow, metres; None without video.
-        deviation_right_m: of the right elbow.
-        missing: share of the markers' positions.
-        outputs: their folder, within the folder of the batch.
-    """
-
-    recording: str
-    frames: int
-    seconds: float
+    recording: str  # its path within the corpus
+    frames: int  # marker samples
+    seconds: float  # from the first sample to the last
+    # Tracking by the video's frames (samples without video), milliseconds.
     ms_per_frame: float | None
-    took_s: float
+    took_s: float  # from reading its file to the last output
+    # Median standard deviation of the left elbow, metres; None without video.
     deviation_left_m: float | None
-    deviation_right_m: float | None
-    missing: float
-    outputs: str
+    deviation_right_m: float | None  # of the right elbow
+    missing: float  # share of the markers' positions
+    outputs: str  # their folder, within the folder of the batch
 
 
 def find_recordings(corpus: str | Path, out: str | Path) -> list[Path]:

@@ -42,14 +42,10 @@ Detect = Callable[[np.ndarray, np.ndarray], np.ndarray | None]
 
 
 class Detector(NamedTuple):
-    """What finds key points.
+    """What finds key points."""
 
-    Attributes:
-        model: whose points they are, of ``keypoint_models.MODELS``.
-        opened: gives the function for one video; what it took is given back at the end.
-    """
-
-    model: str
+    model: str  # whose points they are, of ``keypoint_models.MODELS``
+    # Gives the function for one video; what it took is given back at the end.
     opened: Callable[[], AbstractContextManager[Detect]]
 
 

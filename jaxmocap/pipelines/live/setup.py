@@ -43,33 +43,20 @@ _NO_ROTATION = (1.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class LiveSetup:
-    """The set-up of a live run.
+    """The set-up of a live run."""
 
-    Attributes:
-        path: of the file.
-        skeleton: of the person.
-        places: of the M markers.
-        R_world_source: (3, 3) from the markers' axes to the world's.
-        videos: any number of cameras.
-        source: where markers come from.
-        senders: where poses go.
-        calibration: the calibration file, or None.
-        subject: the table [subject] as it stands, or None.
-        one_euro: of the filter that the markers go through, or None.
-        warnings: sentences that a user should see.
-    """
-
-    path: Path
-    skeleton: Skeleton
-    places: tuple[MarkerPlace, ...]
-    R_world_source: np.ndarray
-    videos: tuple[LiveVideo, ...] = ()
-    source: SourceTable = field(default_factory=OscTable)
+    path: Path  # of the file
+    skeleton: Skeleton  # of the person
+    places: tuple[MarkerPlace, ...]  # of the M markers
+    R_world_source: np.ndarray  # (3, 3) from the markers' axes to the world's
+    videos: tuple[LiveVideo, ...] = ()  # any number of cameras
+    source: SourceTable = field(default_factory=OscTable)  # where markers come from
+    # Where poses go.
     senders: tuple[SenderTable, ...] = field(default_factory=lambda: (VmcTable(),))
-    calibration: Path | None = None
-    subject: Mapping[str, Any] | None = None
-    one_euro: OneEuroSettings | None = None
-    warnings: tuple[str, ...] = ()
+    calibration: Path | None = None  # the calibration file, or None
+    subject: Mapping[str, Any] | None = None  # the table [subject] as it stands, or None
+    one_euro: OneEuroSettings | None = None  # of the filter that the markers go through, or None
+    warnings: tuple[str, ...] = ()  # sentences that a user should see
 
     @property
     def marker_names(self) -> tuple[str, ...]:

@@ -45,20 +45,14 @@ MOST_INCOMPLETE_SAMPLES = 45
 
 
 class Output(NamedTuple):
-    """A pose to be sent.
+    """A pose to be sent."""
 
-    Attributes:
-        time: of its sample, seconds.
-        pose: of the person.
-        deviations: (2,) standard deviations of the elbows, metres; NaN where unknown, and where
-            no camera, of some, brought a frame within ``UNSEEN_S``.
-        arrived: when its sample was received, seconds on the same clock.
-    """
-
-    time: float
+    time: float  # of its sample, seconds
     pose: Pose
+    # (2,) standard deviations of the elbows, metres; NaN where unknown, and where no camera, of
+    # some, brought a frame within ``UNSEEN_S``.
     deviations: np.ndarray
-    arrived: float
+    arrived: float  # when its sample was received, seconds on the same clock
 
 
 class LiveTracking:

@@ -20,24 +20,18 @@ SIZE, FOV_DEG = (640, 480), 60.0
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a plan is for, and what it must keep to.
+    """What a plan is for, and what it must keep to."""
 
-    Attributes:
-        joints: landmarks, or pairs of them in the plural: elbows.
-        cameras: to be placed, one after the other.
-        free_m: how far a camera may stand ahead, behind, to the left, to the right, metres.
-        heights_m: the lowest and the highest place of a camera above the floor, metres.
-        fov_deg: fields of view along the image's longer side, from and to, degrees; None is that
-            of the recording's first camera, or a usual one.
-        rate: frames a second.
-    """
-
-    joints: tuple[str, ...] = ("elbows",)
-    cameras: int = 2
+    joints: tuple[str, ...] = ("elbows",)  # landmarks, or pairs of them in the plural: elbows
+    cameras: int = 2  # to be placed, one after the other
+    # How far a camera may stand ahead, behind, to the left, to the right, metres.
     free_m: tuple[float, ...] = (3.0, 3.0, 3.0, 3.0)
+    # The lowest and the highest place of a camera above the floor, metres.
     heights_m: tuple[float, ...] = (0.4, 2.2)
+    # Fields of view along the image's longer side, from and to, degrees; None is that of the
+    # recording's first camera, or a usual one.
     fov_deg: tuple[float, ...] | None = None
-    rate: float = 30.0
+    rate: float = 30.0  # frames a second
 
     def landmarks(self) -> tuple[str, ...]:
         """Of the joints.

@@ -12,27 +12,16 @@ from jaxmocap.calibration.fitting.camera_plan.placement import BestPlace, Bounds
 
 
 class CameraPlan(NamedTuple):
-    """Places of cameras and what they are worth; deviations of the joints in the mean, metres.
+    """Places of cameras and what they are worth; deviations of the joints in the mean, metres."""
 
-    Attributes:
-        joints: as they were asked for.
-        markers_alone: without any camera.
-        present: with the cameras of the recording; None without any.
-        best: places one after the other, each with those before it.
-        fields_of_view: of the cameras placed, degrees along the longer side.
-        with_trackers: tracker -> with the first camera and this tracker.
-        ring: places about the person, before any was improved.
-        bounds: walls and heights.
-    """
-
-    joints: tuple[str, ...]
-    markers_alone: float
-    present: float | None
-    best: tuple[BestPlace, ...]
-    fields_of_view: tuple[float, ...]
-    with_trackers: dict[str, float]
-    ring: Ring
-    bounds: Bounds
+    joints: tuple[str, ...]  # as they were asked for
+    markers_alone: float  # without any camera
+    present: float | None  # with the cameras of the recording; None without any
+    best: tuple[BestPlace, ...]  # places one after the other, each with those before it
+    fields_of_view: tuple[float, ...]  # of the cameras placed, degrees along the longer side
+    with_trackers: dict[str, float]  # tracker -> with the first camera and this tracker
+    ring: Ring  # places about the person, before any was improved
+    bounds: Bounds  # walls and heights
 
     def rows(self) -> list[tuple[str, float]]:
         """What there could be, and the joints' deviation, metres."""

@@ -37,21 +37,13 @@ STRETCHES, MOMENTS, RATE_HZ = 4, 12, 15.0
 
 
 class Subject(NamedTuple):
-    """Who moves, with which markers.
+    """Who moves, with which markers."""
 
-    Attributes:
-        model: of the person and the markers.
-        times: (S, T) seconds.
-        poses: (S * T, ...) at these times.
-        measured: (S * T, M) whether there is each marker.
-        cameras: that stand already.
-    """
-
-    model: Model
-    times: np.ndarray
-    poses: Pose
-    measured: np.ndarray
-    cameras: tuple[Camera, ...]
+    model: Model  # of the person and the markers
+    times: np.ndarray  # (S, T) seconds
+    poses: Pose  # (S * T, ...) at these times
+    measured: np.ndarray  # (S * T, M) whether there is each marker
+    cameras: tuple[Camera, ...]  # that stand already
 
     def with_markers_at(self, landmarks: tuple[str, ...]) -> "Subject | None":
         """The same with more markers; None where a bone of theirs carries one already."""

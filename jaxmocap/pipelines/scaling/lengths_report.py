@@ -42,23 +42,14 @@ def verdict_of(before: float, after: float) -> str:
 
 @dataclass(frozen=True)
 class LengthEstimate:
-    """One length as it was estimated.
+    """One length as it was estimated."""
 
-    Attributes:
-        name: of the proportion.
-        bones: that it is the length of, in sum, those of one side.
-        length_m: as estimated, metres.
-        stated_m: as stated, metres.
-        deviation_before: standard deviation among people, a share of the length.
-        deviation_after: the same given the recording.
-    """
-
-    name: str
-    bones: tuple[str, ...]
-    length_m: float
-    stated_m: float
-    deviation_before: float
-    deviation_after: float
+    name: str  # of the proportion
+    bones: tuple[str, ...]  # that it is the length of, in sum, those of one side
+    length_m: float  # as estimated, metres
+    stated_m: float  # as stated, metres
+    deviation_before: float  # standard deviation among people, a share of the length
+    deviation_after: float  # the same given the recording
 
     @property
     def verdict(self) -> str:
@@ -81,23 +72,14 @@ class LengthEstimate:
 
 @dataclass(frozen=True)
 class LengthsReport:
-    """A person's lengths from a recording.
-
-    Attributes:
-        skeleton: of the person.
-        height: as stated, metres.
-        lengths: in the order of ``LENGTHS``.
-        girths: name -> factor, clothes included; not in the file.
-        correlation: (L, L) between the lengths' errors.
-        path: of the body's file.
-    """
+    """A person's lengths from a recording."""
 
     skeleton: Skeleton
-    height: float
-    lengths: tuple[LengthEstimate, ...]
-    girths: dict[str, float]
-    correlation: np.ndarray
-    path: Path
+    height: float  # as stated, metres
+    lengths: tuple[LengthEstimate, ...]  # in the order of ``LENGTHS``
+    girths: dict[str, float]  # name -> factor, clothes included; not in the file
+    correlation: np.ndarray  # (L, L) between the lengths' errors
+    path: Path  # of the body's file
 
     @classmethod
     def of(

@@ -28,19 +28,13 @@ from jaxmocap.silhouette.settings import Settings
 
 
 class KeypointGuide(NamedTuple):
-    """Where the key points of F instants have the person.
+    """Where the key points of F instants have the person."""
 
-    Attributes:
-        lines: (F, ...) of the cameras that have key points.
-        poses: (F, ...), and the bones' lengths by them.
-        is_detected: (F,) whether so many landmarks were detected that they say where somebody is.
-        warnings: for the user.
-    """
-
-    lines: SightLines
-    poses: KeypointPoses
+    lines: SightLines  # (F, ...) of the cameras that have key points
+    poses: KeypointPoses  # (F, ...), and the bones' lengths by them
+    # (F,) whether so many landmarks were detected that they say where somebody is.
     is_detected: np.ndarray
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # for the user
 
     @property
     def skeleton(self) -> Skeleton:

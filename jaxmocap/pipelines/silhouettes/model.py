@@ -39,23 +39,14 @@ DRAWN = 3
 
 
 class ModelResult(NamedTuple):
-    """What four photographs gave.
-
-    Attributes:
-        model: of the person.
-        images: photograph -> (H, W, 3) BGR uint8.
-        views: photograph -> mask and camera.
-        person: the same as the tracker wants it.
-        reading: by which, a name of ``READINGS``.
-        seconds: from the files to the model.
-    """
+    """What four photographs gave."""
 
     model: PersonModel
-    images: dict[str, np.ndarray]
-    views: dict[str, PhotographView]
-    person: PersonalModel
-    reading: str
-    seconds: float
+    images: dict[str, np.ndarray]  # photograph -> (H, W, 3) BGR uint8
+    views: dict[str, PhotographView]  # photograph -> mask and camera
+    person: PersonalModel  # the same as the tracker wants it
+    reading: str  # by which, a name of ``READINGS``
+    seconds: float  # from the files to the model
 
     def figures(self) -> dict:
         """Lengths, girths and joints, metres, and how long it took, seconds."""

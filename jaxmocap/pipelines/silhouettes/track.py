@@ -55,19 +55,12 @@ CALIBRATED_ON = (
 
 
 class Masks(NamedTuple):
-    """Level sets of one camera over F frames.
+    """Level sets of one camera over F frames."""
 
-    Attributes:
-        times: (F,) seconds.
-        phi: (F, S, S) int8, positive within the person.
-        origins: (F, 2) of the canvases' regions.
-        scales: (F,) of them.
-    """
-
-    times: np.ndarray
-    phi: np.ndarray
-    origins: np.ndarray
-    scales: np.ndarray
+    times: np.ndarray  # (F,) seconds
+    phi: np.ndarray  # (F, S, S) int8, positive within the person
+    origins: np.ndarray  # (F, 2) of the canvases' regions
+    scales: np.ndarray  # (F,) of them
 
 
 class SilhouetteResult(NamedTuple):

@@ -35,23 +35,14 @@ NEAR_INTERVALS = 1.5
 
 @dataclass(frozen=True)
 class RecordingEvents:
-    """The E events of a recording, from the first sample with a marker to the last sample.
+    """The E events of a recording, from the first sample with a marker to the last sample."""
 
-    Attributes:
-        recording: what is tracked.
-        timeline: its events.
-        markers_world: (E, M, 3) there; NaN where missing.
-        before: how many samples lie before the first event; none of them has a marker.
-        without_video: C of (T,), whether no frame of a camera lies near each sample.
-        cleaning: what filters did to the markers, or None.
-    """
-
-    recording: Recording
-    timeline: Timeline
-    markers_world: np.ndarray
-    before: int
-    without_video: list[np.ndarray]
-    cleaning: Cleaning | None = None
+    recording: Recording  # what is tracked
+    timeline: Timeline  # its events
+    markers_world: np.ndarray  # (E, M, 3) there; NaN where missing
+    before: int  # how many samples lie before the first event; none of them has a marker
+    without_video: list[np.ndarray]  # C of (T,), whether no frame of a camera lies near each sample
+    cleaning: Cleaning | None = None  # what filters did to the markers, or None
 
     @classmethod
     def of(
@@ -113,21 +104,13 @@ class RecordingEvents:
 
 
 class Opened(NamedTuple):
-    """A recording, its files open and its markers cleaned.
+    """A recording, its files open and its markers cleaned."""
 
-    Attributes:
-        recording: with cleaned markers.
-        videos: one per camera.
-        keypoints: of each video; None where it has none.
-        cleaning: what filters did to the markers.
-        warnings: for the user.
-    """
-
-    recording: Recording
-    videos: list[FrameSource]
-    keypoints: tuple[Detections | None, ...]
-    cleaning: Cleaning
-    warnings: tuple[str, ...]
+    recording: Recording  # with cleaned markers
+    videos: list[FrameSource]  # one per camera
+    keypoints: tuple[Detections | None, ...]  # of each video; None where it has none
+    cleaning: Cleaning  # what filters did to the markers
+    warnings: tuple[str, ...]  # for the user
 
 
 def open_recording(recording: Recording, mode: Mode = "own") -> Opened:

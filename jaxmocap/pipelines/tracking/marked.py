@@ -43,19 +43,12 @@ FULL_SHARE = 0.9
 
 
 class MarkedPass(NamedTuple):
-    """What the markers determined.
+    """What the markers determined."""
 
-    Attributes:
-        tracker: with the model as fitted.
-        first: poses of all events.
-        trajectory: the same with deviations.
-        sentence: what was fitted, for the report; "" where nothing was.
-    """
-
-    tracker: HybridTracker
-    first: FirstPass
-    trajectory: Trajectory
-    sentence: str
+    tracker: HybridTracker  # with the model as fitted
+    first: FirstPass  # poses of all events
+    trajectory: Trajectory  # the same with deviations
+    sentence: str  # what was fitted, for the report; "" where nothing was
 
     def recording(self, recording: Recording) -> Recording:
         """The recording with the body and the places as fitted."""

@@ -11,16 +11,11 @@ from jaxmocap.reference.kinematics import bone_vector
 
 
 class AugmentedBodies(NamedTuple):
-    """What each of D degrees of freedom carries (section 4.4).
+    """What each of D degrees of freedom carries (section 4.4)."""
 
-    Attributes:
-        masses: (D,) m_i, kilograms.
-        centres_world: (D, 3) centres of gravity, metres.
-        arms: (D,) h_i, horizontal distance from the joint to the centre of gravity, metres.
-    """
-
-    masses: np.ndarray
-    centres_world: np.ndarray
+    masses: np.ndarray  # (D,) m_i, kilograms
+    centres_world: np.ndarray  # (D, 3) centres of gravity, metres
+    # (D,) h_i, horizontal distance from the joint to the centre of gravity, metres.
     arms: np.ndarray
 
 

@@ -10,19 +10,12 @@ import numpy as np
 
 
 class Found(NamedTuple):
-    """Where a search ended.
+    """Where a search ended."""
 
-    Attributes:
-        point: (n,) the best vertex.
-        value: of the function there.
-        simplex: (n + 1, n) all vertices, best first.
-        evaluations: of the function.
-    """
-
-    point: np.ndarray
-    value: float
-    simplex: np.ndarray
-    evaluations: int
+    point: np.ndarray  # (n,) the best vertex
+    value: float  # of the function there
+    simplex: np.ndarray  # (n + 1, n) all vertices, best first
+    evaluations: int  # of the function
 
 
 def minimise(

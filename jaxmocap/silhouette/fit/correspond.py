@@ -43,41 +43,25 @@ class Contour(NamedTuple):
 
 
 class Matches(NamedTuple):
-    """N pairs of each of C cameras, padded.
+    """N pairs of each of C cameras, padded."""
 
-    Attributes:
-        nodes: (C, N) of the rim's surface.
-        pixels_xy: (C, N, 2) of the contour.
-        normals: (C, N, 2) of the contour there.
-        distances: (C, N) between them, pixels; 0 for padding.
-        valid: (C, N) False for padding, and where nothing fits.
-    """
-
-    nodes: np.ndarray
-    pixels_xy: np.ndarray
-    normals: np.ndarray
-    distances: np.ndarray
-    valid: np.ndarray
+    nodes: np.ndarray  # (C, N) of the rim's surface
+    pixels_xy: np.ndarray  # (C, N, 2) of the contour
+    normals: np.ndarray  # (C, N, 2) of the contour there
+    distances: np.ndarray  # (C, N) between them, pixels; 0 for padding
+    valid: np.ndarray  # (C, N) False for padding, and where nothing fits
 
 
 class ContourPairs(NamedTuple):
-    """Pairs of a cycle, C cameras with N each: see ``Matches``.
+    """Pairs of a cycle, C cameras with N each: see ``Matches``."""
 
-    Attributes:
-        points: C * N of the body.
-        pixels_xy: (C, N, 2).
-        normals: (C, N, 2).
-        weights: (C, N), 0 for no pair.
-        moves: (C * N, 3, S) of the points by drivers, see ``morph``; None without any.
-        along_weight: of all pairs along the contour, by that across.
-    """
-
-    points: BodyPoints
-    pixels_xy: Array | np.ndarray
-    normals: Array | np.ndarray
-    weights: Array | np.ndarray
+    points: BodyPoints  # C * N of the body
+    pixels_xy: Array | np.ndarray  # (C, N, 2)
+    normals: Array | np.ndarray  # (C, N, 2)
+    weights: Array | np.ndarray  # (C, N), 0 for no pair
+    # (C * N, 3, S) of the points by drivers, see ``morph``; None without any.
     moves: Array | np.ndarray | None = None
-    along_weight: Array | float = 0.0
+    along_weight: Array | float = 0.0  # of all pairs along the contour, by that across
 
 
 def matched_pairs(rim: Rim, contours: Sequence[Contour]) -> Matches:

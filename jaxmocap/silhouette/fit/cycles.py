@@ -124,39 +124,24 @@ def combined_prior(expected: Pose, deviations: np.ndarray, rest: np.ndarray) -> 
 
 
 class FrameEvidence(NamedTuple):
-    """What a frame brings, and what was learned before it is segmented.
+    """What a frame brings, and what was learned before it is segmented."""
 
-    Attributes:
-        images: (H, W, 3) BGR uint8 of each camera, None where it shows nothing of use.
-        backgrounds: of each camera, None where unknown.
-        histograms: of the frames before.
-        beside: evidence that is no image, such as markers, where there is any.
-        is_first: whether it is the first frame.
-    """
-
+    # (H, W, 3) BGR uint8 of each camera, None where it shows nothing of use.
     images: Sequence[np.ndarray | None]
-    backgrounds: Sequence[Background | None]
-    histograms: Histograms
-    beside: TermEvidence | None
+    backgrounds: Sequence[Background | None]  # of each camera, None where unknown
+    histograms: Histograms  # of the frames before
+    beside: TermEvidence | None  # evidence that is no image, such as markers, where there is any
     is_first: bool
 
 
 class FittedPose(NamedTuple):
-    """How the last cycle ended.
-
-    Attributes:
-        result: of the solve.
-        used: (C,) bool: cameras that counted.
-        matched_shares: (C,) of rim and contour that found a partner.
-        outlines: what the cameras show.
-        pairs: with what robust weighting leaves of their weights.
-    """
+    """How the last cycle ended."""
 
     result: PoseResult
-    used: np.ndarray
-    matched_shares: np.ndarray
+    used: np.ndarray  # (C,) bool: cameras that counted
+    matched_shares: np.ndarray  # (C,) of rim and contour that found a partner
     outlines: Outlines
-    pairs: NodePairs
+    pairs: NodePairs  # with what robust weighting leaves of their weights
 
 
 def fit_pose(

@@ -31,23 +31,14 @@ SMOOTH_RADII_PX = 3.0
 
 
 class ArmPixels(NamedTuple):
-    """One arm in the joint view: pixels (x, y).
+    """One arm in the joint view: pixels (x, y)."""
 
-    Attributes:
-        shoulder: (2,).
-        elbow: (2,).
-        corner: (2,) of the axis, where the elbow is before its shift.
-        wrist: (2,).
-        tip: (2,) of the longest finger.
-        axis: (K, 2) from the trunk to the tip, 1 pixel apart.
-    """
-
-    shoulder: np.ndarray
-    elbow: np.ndarray
-    corner: np.ndarray
-    wrist: np.ndarray
-    tip: np.ndarray
-    axis: np.ndarray
+    shoulder: np.ndarray  # (2,)
+    elbow: np.ndarray  # (2,)
+    corner: np.ndarray  # (2,) of the axis, where the elbow is before its shift
+    wrist: np.ndarray  # (2,)
+    tip: np.ndarray  # (2,) of the longest finger
+    axis: np.ndarray  # (K, 2) from the trunk to the tip, 1 pixel apart
 
 
 def arm_axis(

@@ -43,19 +43,12 @@ INNER_RINGS = 4
 
 
 class ArmBones(NamedTuple):
-    """An arm in one stance: (3,) each, world, metres.
-
-    Attributes:
-        shoulder: its joint.
-        elbow: its joint.
-        wrist: its joint.
-        tip: of the longest finger.
-    """
+    """An arm in one stance: its joints and its tip, (3,) each, world, metres."""
 
     shoulder: np.ndarray
     elbow: np.ndarray
     wrist: np.ndarray
-    tip: np.ndarray
+    tip: np.ndarray  # of the longest finger
 
     @property
     def lengths(self) -> np.ndarray:

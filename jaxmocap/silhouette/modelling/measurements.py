@@ -22,17 +22,11 @@ MEASURED_AT = {"upper_arm": (0, 0.5), "forearm": (SLICES[0], 0.25)}
 
 
 class GirthSection(NamedTuple):
-    """One place: metres.
+    """One place: metres."""
 
-    Attributes:
-        width: across; of an arm, along the hinge of its elbow.
-        depth: to the front; of an arm, in the plane in which it bends.
-        girth: of a tape around it.
-    """
-
-    width: float
-    depth: float
-    girth: float
+    width: float  # across; of an arm, along the hinge of its elbow
+    depth: float  # to the front; of an arm, in the plane in which it bends
+    girth: float  # of a tape around it
 
     def rounded(self) -> dict[str, float]:
         """By name, to a tenth of a millimetre."""

@@ -68,28 +68,18 @@ class StanceError(ValueError):
 
 
 class PersonModel(NamedTuple):
-    """A person as measured, world, metres.
-
-    Attributes:
-        front: landmarks of the front view.
-        trunk: rings from the bottom line to the top of the head.
-        arm_pixels: the arms in the joint view, left and right: pixels.
-        bent: their joints there.
-        stretched: their joints in the arms' side view.
-        lifted: their joints in the front view.
-        arms: (K, N, 3) each: rings, stretched out level to the side from the shoulder, thumb ahead.
-        legs: thighs of the front and the side view.
-        shifts: photograph -> (3,) how far the person has moved since the front view.
-    """
+    """A person as measured, world, metres."""
 
     front: FrontLandmarks
-    trunk: Trunk
-    arm_pixels: tuple[ArmPixels, ...]
-    bent: tuple[ArmBones, ...]
-    stretched: tuple[ArmBones, ...]
-    lifted: tuple[ArmBones, ...]
+    trunk: Trunk  # rings from the bottom line to the top of the head
+    arm_pixels: tuple[ArmPixels, ...]  # the arms in the joint view, left and right: pixels
+    bent: tuple[ArmBones, ...]  # their joints there
+    stretched: tuple[ArmBones, ...]  # their joints in the arms' side view
+    lifted: tuple[ArmBones, ...]  # their joints in the front view
+    # (K, N, 3) each: rings, stretched out level to the side from the shoulder, thumb ahead.
     arms: tuple[np.ndarray, ...]
-    legs: Thighs
+    legs: Thighs  # of the front and the side view
+    # Photograph -> (3,) how far the person has moved since the front view.
     shifts: dict[str, np.ndarray]
 
     @property

@@ -49,17 +49,12 @@ SPREAD_FROM = 0.5
 
 
 class PersonalModel(NamedTuple):
-    """A person as the tracker wants one.
+    """A person as the tracker wants one."""
 
-    Attributes:
-        skeleton: the human one's joints, with the person's own bones.
-        surface: around it; node for node as that of ``generic_surface``.
-        poses: photograph (``front``, ``side``, ``joint``, ``arm_side``) -> the skeleton's pose in
-            it, in the calibration's world, metres.
-    """
-
-    skeleton: Skeleton
-    surface: Surface
+    skeleton: Skeleton  # the human one's joints, with the person's own bones
+    surface: Surface  # around it; node for node as that of ``generic_surface``
+    # Photograph (``front``, ``side``, ``joint``, ``arm_side``) -> the skeleton's pose in it, in the
+    # calibration's world, metres.
     poses: dict[str, Pose]
 
 

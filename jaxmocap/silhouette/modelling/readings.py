@@ -21,23 +21,16 @@ CONTROL_POINTS = 16
 
 @dataclass(frozen=True)
 class Reading:
-    """Which places joints have on what a silhouette shows, and how full its slices are.
+    """Which places joints have on what a silhouette shows, and how full its slices are."""
 
-    Attributes:
-        towards_rim: an elbow's joint lies so far from the axis' corner towards the rim.
-        elbow_beyond_corner: the axis turns before the elbow, by this share of its way from
-            shoulder to tip.
-        wrist_beyond_thinnest: the wrist's joint lies so far beyond the thinnest place before the
-            palm, by the same share.
-        elbow_above: a stretched arm's elbow above its axis, the hinge upright, by the stature.
-        as_full_as_people: slices are superellipses as full as people's there; otherwise B-splines
-            of four control points.
-    """
-
-    towards_rim: float
+    towards_rim: float  # an elbow's joint lies so far from the axis' corner towards the rim
+    # The axis turns before the elbow, by this share of its way from shoulder to tip.
     elbow_beyond_corner: float
+    # The wrist's joint lies so far beyond the thinnest place before the palm, by the same share.
     wrist_beyond_thinnest: float
-    elbow_above: float
+    elbow_above: float  # a stretched arm's elbow above its axis, the hinge upright, by the stature
+    # Slices are superellipses as full as people's there; otherwise B-splines of four control
+    # points.
     as_full_as_people: bool
 
 

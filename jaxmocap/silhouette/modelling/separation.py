@@ -24,23 +24,15 @@ NECK_ENDS = 1.25
 
 
 class FrontLandmarks(NamedTuple):
-    """Places of a silhouette seen from the front, pixels (x, y).
+    """Places of a silhouette seen from the front, pixels (x, y)."""
 
-    Attributes:
-        top: row of the head's highest pixel.
-        neck: row where the neck is narrowest.
-        neck_x: the neck's middle there.
-        pits: (2, 2) the person's left arm pit, which is on the right of the image, and the right.
-        bottom: row of the trunk's bottom line.
-        middle_x: the trunk's middle at the bottom line.
-    """
-
-    top: int
-    neck: int
-    neck_x: float
+    top: int  # row of the head's highest pixel
+    neck: int  # row where the neck is narrowest
+    neck_x: float  # the neck's middle there
+    # (2, 2) the person's left arm pit, which is on the right of the image, and the right.
     pits: np.ndarray
-    bottom: int
-    middle_x: float
+    bottom: int  # row of the trunk's bottom line
+    middle_x: float  # the trunk's middle at the bottom line
 
 
 def find_landmarks(mask: np.ndarray, bottom: int | None = None) -> FrontLandmarks:

@@ -33,17 +33,13 @@ CROWN_M = 0.01
 
 
 class BodySlices(NamedTuple):
-    """Level slices of a limb at rest, from the pelvis, metres.
+    """Level slices of a limb at rest, from the pelvis, metres."""
 
-    Attributes:
-        levels: (K,) heights, falling or rising.
-        outlines: (K, N, 2) closed: ahead, and outwards (to the left on the trunk and the left).
-        fades: above the highest and below the lowest slice their ratio to a generic surface goes
-            back to 1 within so much; infinite where it goes on.
-    """
-
-    levels: np.ndarray
+    levels: np.ndarray  # (K,) heights, falling or rising
+    # (K, N, 2) closed: ahead, and outwards (to the left on the trunk and the left).
     outlines: np.ndarray
+    # Above the highest and below the lowest slice their ratio to a generic surface goes back to 1
+    # within so much; infinite where it goes on.
     fades: tuple[float, float]
 
 

@@ -34,17 +34,12 @@ FARTHEST_M = 0.35
 
 
 class Trunk(NamedTuple):
-    """Closed rings of R times N nodes, world, metres.
+    """Closed rings of R times N nodes, world, metres."""
 
-    Attributes:
-        rings: (R, N, 3) from the bottom line upwards, from the person's front to their left.
-        middles: (R, 3) middles of the slices.
-        pits: (2, 3) left and right arm pit.
-    """
-
+    # (R, N, 3) from the bottom line upwards, from the person's front to their left.
     rings: np.ndarray
-    middles: np.ndarray
-    pits: np.ndarray
+    middles: np.ndarray  # (R, 3) middles of the slices
+    pits: np.ndarray  # (2, 3) left and right arm pit
 
 
 def find_trunk(
@@ -124,17 +119,11 @@ LEAST_THIGH_PX = 40
 
 
 class Thighs(NamedTuple):
-    """Slices from the crotch downwards, world, metres; none where no thigh is visible.
+    """Slices from the crotch downwards, world, metres; none where no thigh is visible."""
 
-    Attributes:
-        heights: (S,) of the slices.
-        across: (S, 2, 2) y of the left and the right thigh's right and left edge.
-        deep: (S, 2) x of the back and the front of both.
-    """
-
-    heights: np.ndarray
-    across: np.ndarray
-    deep: np.ndarray
+    heights: np.ndarray  # (S,) of the slices
+    across: np.ndarray  # (S, 2, 2) y of the left and the right thigh's right and left edge
+    deep: np.ndarray  # (S, 2) x of the back and the front of both
 
 
 def find_thighs(

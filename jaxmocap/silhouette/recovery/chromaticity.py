@@ -31,15 +31,10 @@ WINDOW = (3, 3)
 
 
 class BodyAppearance(NamedTuple):
-    """Chromaticities of N points of a body.
+    """Chromaticities of N points of a body."""
 
-    Attributes:
-        chromaticities: (N, 3) shares of blue, green and red, together 1.
-        frames: (N,) that they were learned from.
-    """
-
-    chromaticities: np.ndarray
-    frames: np.ndarray
+    chromaticities: np.ndarray  # (N, 3) shares of blue, green and red, together 1
+    frames: np.ndarray  # (N,) that they were learned from
 
     @classmethod
     def empty(cls, points: int) -> "BodyAppearance":
@@ -69,17 +64,11 @@ class BodyAppearance(NamedTuple):
 
 
 class PointCells(NamedTuple):
-    """Where N points lie on C canvases of S x S cells.
+    """Where N points lie on C canvases of S x S cells."""
 
-    Attributes:
-        cells: (C, N) indices into a canvas; S * S for points beside it.
-        depths: (C, N) metres.
-        size: S.
-    """
-
-    cells: np.ndarray
-    depths: np.ndarray
-    size: int
+    cells: np.ndarray  # (C, N) indices into a canvas; S * S for points beside it
+    depths: np.ndarray  # (C, N) metres
+    size: int  # S
 
     @classmethod
     def of(

@@ -38,15 +38,10 @@ OBSTACLES = {"arm": ("torso", "leg"), "leg": ("leg",)}
 
 
 class Obstacles(NamedTuple):
-    """Parts of a body that a limb cannot be in, ring by ring.
+    """Parts of a body that a limb cannot be in, ring by ring."""
 
-    Attributes:
-        nodes: (N, 3) in the world, metres.
-        outwards: (N, 3) unit vectors from the rings' middles.
-    """
-
-    nodes: Array
-    outwards: Array
+    nodes: Array  # (N, 3) in the world, metres
+    outwards: Array  # (N, 3) unit vectors from the rings' middles
 
     @classmethod
     def of(cls, nodes: Array) -> "Obstacles":
@@ -111,37 +106,25 @@ LEAST_VISIBLE = -0.05
 
 
 class LimbAppearance(NamedTuple):
-    """Chromaticities that C cameras show, and those of a limb of B bones with A places on each.
+    """Chromaticities that C cameras show, and those of a limb of B bones with A places on each."""
 
-    Attributes:
-        chromaticities: (C, S, S, 3) of the image; NaN where there are none.
-        body_cost: (C, S, S) half their squared deviations from those of the rest of the body; 0
-            where nothing was learned.
-        body_depth: (C, S, S) metres, of the rest of the body; infinite beside it.
-        limb_chromaticities: (B, A, 3) of the limb; -1 where none was learned.
-    """
-
-    chromaticities: Array | np.ndarray
+    chromaticities: Array | np.ndarray  # (C, S, S, 3) of the image; NaN where there are none
+    # (C, S, S) half their squared deviations from those of the rest of the body; 0 where nothing
+    # was learned.
     body_cost: Array | np.ndarray
-    body_depth: Array | np.ndarray
-    limb_chromaticities: Array | np.ndarray
+    body_depth: Array | np.ndarray  # (C, S, S) metres, of the rest of the body; infinite beside it
+    limb_chromaticities: Array | np.ndarray  # (B, A, 3) of the limb; -1 where none was learned
 
 
 class LimbEvidence(NamedTuple):
-    """What C cameras show of the person beyond the rest of the body.
+    """What C cameras show of the person beyond the rest of the body."""
 
-    Attributes:
-        log_ratios: (C, S, S) of person and rest; 0 where the rest of the body is visible.
-        region: of the canvases.
-        used: (C,) cameras that count.
-        appearance: chromaticities; None where none were learned.
-        obstacles: parts of the body that the limb cannot be in; None for none.
-    """
-
+    # (C, S, S) of person and rest; 0 where the rest of the body is visible.
     log_ratios: Array | np.ndarray
-    region: Region
-    used: Array | np.ndarray
-    appearance: LimbAppearance | None = None
+    region: Region  # of the canvases
+    used: Array | np.ndarray  # (C,) cameras that count
+    appearance: LimbAppearance | None = None  # chromaticities; None where none were learned
+    # Parts of the body that the limb cannot be in; None for none.
     obstacles: Obstacles | None = None
 
 

@@ -45,19 +45,13 @@ DISTINCT_RAD = 0.5
 
 
 class LimbSearchResult(NamedTuple):
-    """What a search found.
+    """What a search found."""
 
-    Attributes:
-        particles: (P, K) angles, for the next frame.
-        best: (H, K) angles of the best, and of the best that are elsewhere than those before them.
-        gains: (H,) what they explain: the mean log-ratio where the limb would be visible.
-        baseline: () what they must explain more than, see ``explained_log_ratio``.
-    """
-
-    particles: Array
+    particles: Array  # (P, K) angles, for the next frame
+    # (H, K) angles of the best, and of the best that are elsewhere than those before them.
     best: Array
-    gains: Array
-    baseline: Array
+    gains: Array  # (H,) what they explain: the mean log-ratio where the limb would be visible
+    baseline: Array  # () what they must explain more than, see ``explained_log_ratio``
 
 
 @jax.jit

@@ -73,39 +73,25 @@ def _log_ratios_of_parts(
 
 
 class LimbMemory(NamedTuple):
-    """What is remembered of the L limbs.
+    """What is remembered of the L limbs."""
 
-    Attributes:
-        particles: of each limb (P, K) angles, or None where it was in its place.
-        waits: (L,) frames until each may be searched for again.
-        failures: (L,) searches of each, one after the other, that found nothing.
-        part_appearance: of the near and the far half of each limb.
-        appearance: of the body's points.
-        contradicted: (L,) bool: where the last frame showed nothing of them, or something else.
-        frame: number of frames so far; the seed of the pseudo-random numbers.
-    """
-
+    # Of each limb (P, K) angles, or None where it was in its place.
     particles: tuple[np.ndarray | None, ...]
-    waits: np.ndarray
-    failures: np.ndarray
-    part_appearance: PartAppearance
-    appearance: BodyAppearance
+    waits: np.ndarray  # (L,) frames until each may be searched for again
+    failures: np.ndarray  # (L,) searches of each, one after the other, that found nothing
+    part_appearance: PartAppearance  # of the near and the far half of each limb
+    appearance: BodyAppearance  # of the body's points
+    # (L,) bool: where the last frame showed nothing of them, or something else.
     contradicted: np.ndarray
-    frame: int
+    frame: int  # number of frames so far; the seed of the pseudo-random numbers
 
 
 class LimbProposal(NamedTuple):
-    """Poses that explain more.
+    """Poses that explain more."""
 
-    Attributes:
-        poses: to fit from, the likeliest first.
-        limbs: numbers of those that were moved.
-        least_gain: mean log-ratio that they must explain more once they are fitted.
-    """
-
-    poses: tuple[Pose, ...]
-    limbs: tuple[int, ...]
-    least_gain: float
+    poses: tuple[Pose, ...]  # to fit from, the likeliest first
+    limbs: tuple[int, ...]  # numbers of those that were moved
+    least_gain: float  # mean log-ratio that they must explain more once they are fitted
 
 
 class LimbRecovery:

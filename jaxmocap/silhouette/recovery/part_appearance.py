@@ -29,19 +29,12 @@ LONGEST = 90
 
 
 class PartAppearance(NamedTuple):
-    """Chromaticities of P parts in C cameras.
+    """Chromaticities of P parts in C cameras."""
 
-    Attributes:
-        mean: (P, C, 3) shares of blue, green and red, together 1.
-        variance: (P, C) about it.
-        frames: (P, C) that it was learned from.
-        strange_frames: (P,) one after the other, in which the part looked otherwise.
-    """
-
-    mean: np.ndarray
-    variance: np.ndarray
-    frames: np.ndarray
-    strange_frames: np.ndarray
+    mean: np.ndarray  # (P, C, 3) shares of blue, green and red, together 1
+    variance: np.ndarray  # (P, C) about it
+    frames: np.ndarray  # (P, C) that it was learned from
+    strange_frames: np.ndarray  # (P,) one after the other, in which the part looked otherwise
 
     @classmethod
     def empty(cls, parts: int, cameras: int) -> "PartAppearance":

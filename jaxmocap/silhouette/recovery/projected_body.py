@@ -39,27 +39,16 @@ DIFFERENT_LEVELS = 30.0
 
 
 class ProjectedBody(NamedTuple):
-    """A pose and what the cameras show, laid over each other.
+    """A pose and what the cameras show, laid over each other."""
 
-    Attributes:
-        pose: as estimated.
-        pixels: (C, N, 2) of the body's points.
-        cells: of the same on the canvases.
-        log_ratios: (C, S, S) of person and rest.
-        chromaticities: (C, S, S, 3) NaN where there are none.
-        regions: of each camera's canvas.
-        region: the same as one.
-        used: (C,) bool.
-    """
-
-    pose: Pose
-    pixels: np.ndarray
-    cells: PointCells
-    log_ratios: np.ndarray
-    chromaticities: np.ndarray
-    regions: tuple[Region, ...]
-    region: Region
-    used: np.ndarray
+    pose: Pose  # as estimated
+    pixels: np.ndarray  # (C, N, 2) of the body's points
+    cells: PointCells  # of the same on the canvases
+    log_ratios: np.ndarray  # (C, S, S) of person and rest
+    chromaticities: np.ndarray  # (C, S, S, 3) NaN where there are none
+    regions: tuple[Region, ...]  # of each camera's canvas
+    region: Region  # the same as one
+    used: np.ndarray  # (C,) bool
 
     def covered(self, points: np.ndarray) -> np.ndarray:
         """(C, S, S) bool, what of the canvases some points (N,) bool of the body cover."""

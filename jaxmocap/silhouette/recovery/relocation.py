@@ -25,21 +25,13 @@ from jaxmocap.silhouette.state import (
 
 
 class RecoveredPose(NamedTuple):
-    """A frame's result, and what became of the limbs.
-
-    Attributes:
-        fitted: the result.
-        relocated: (D,) bool: joints that were put elsewhere.
-        resumed: (D,) bool: those of them that are where an earlier pass found them.
-        hidden: (D,) bool: joints of parts that are not visible.
-        limbs: to remember.
-    """
+    """A frame's result, and what became of the limbs."""
 
     fitted: FittedPose
-    relocated: np.ndarray
-    resumed: np.ndarray
-    hidden: np.ndarray
-    limbs: LimbMemory
+    relocated: np.ndarray  # (D,) bool: joints that were put elsewhere
+    resumed: np.ndarray  # (D,) bool: those of them that are where an earlier pass found them
+    hidden: np.ndarray  # (D,) bool: joints of parts that are not visible
+    limbs: LimbMemory  # to remember
 
 
 class _Relocation(NamedTuple):

@@ -26,21 +26,13 @@ GOLDEN = 0.6180339887498949
 
 
 class Contours(NamedTuple):
-    """N points on the silhouette in each of V images.
+    """N points on the silhouette in each of V images."""
 
-    Attributes:
-        points_xy: (V, N, 2) pixels.
-        normals: (V, N, 2) unit vectors, out of the person.
-        lengths: (V, N) pixels of contour for which a point stands; they add up to all of it.
-        contrast: (V, N) 0 to 1: how clearly its two sides differ in the image.
-        valid: (V, N) bool; false where there is no point, or only the image's border.
-    """
-
-    points_xy: Array
-    normals: Array
-    lengths: Array
-    contrast: Array
-    valid: Array
+    points_xy: Array  # (V, N, 2) pixels
+    normals: Array  # (V, N, 2) unit vectors, out of the person
+    lengths: Array  # (V, N) pixels of contour for which a point stands; they add up to all of it
+    contrast: Array  # (V, N) 0 to 1: how clearly its two sides differ in the image
+    valid: Array  # (V, N) bool; false where there is no point, or only the image's border
 
 
 @partial(jax.jit, static_argnames="count")

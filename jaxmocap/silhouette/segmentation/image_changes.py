@@ -21,15 +21,11 @@ DIFFERENT_LEVELS = 25.0
 
 
 class ImageHistory(NamedTuple):
-    """What C cameras showed last.
+    """What C cameras showed last."""
 
-    Attributes:
-        thumbnails: of each camera, of the last image that was accepted; None before it.
-        rejections: frames of each, one after the other, that were rejected.
-    """
-
+    # Of each camera, of the last image that was accepted; None before it.
     thumbnails: tuple[np.ndarray | None, ...]
-    rejections: tuple[int, ...]
+    rejections: tuple[int, ...]  # frames of each, one after the other, that were rejected
 
     @classmethod
     def empty(cls, cameras: int) -> "ImageHistory":

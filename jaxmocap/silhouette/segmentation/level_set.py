@@ -21,19 +21,12 @@ FLAT = 1e-2
 
 
 class LevelSetMotion(NamedTuple):
-    """How a level set moves; traced numbers.
+    """How a level set moves; traced numbers."""
 
-    Attributes:
-        length: ν, the weight of the contour's length against log-likelihoods.
-        speed: the time step.
-        distance: how fast |∇Φ| goes to 1.
-        smoothing: of Φ along its gradient; stable below 0.25.
-    """
-
-    length: Array | float = 0.15
-    speed: Array | float = 0.33
-    distance: Array | float = 0.4
-    smoothing: Array | float = 0.2
+    length: Array | float = 0.15  # ν, the weight of the contour's length against log-likelihoods
+    speed: Array | float = 0.33  # the time step
+    distance: Array | float = 0.4  # how fast |∇Φ| goes to 1
+    smoothing: Array | float = 0.2  # of Φ along its gradient; stable below 0.25
 
 
 def heaviside(phi: Array, width: Array | float) -> Array:

@@ -31,17 +31,11 @@ _THREADS = ThreadPoolExecutor(2, "sharpening")
 
 
 class Outlines(NamedTuple):
-    """What C cameras show.
+    """What C cameras show."""
 
-    Attributes:
-        contours: one a camera; without points where it shows nothing.
-        segmentation: level sets (C, S, S), on the canvases of ``region``.
-        region: the canvases' places.
-    """
-
-    contours: tuple[Contour, ...]
-    segmentation: Segmentation
-    region: Region
+    contours: tuple[Contour, ...]  # one a camera; without points where it shows nothing
+    segmentation: Segmentation  # level sets (C, S, S), on the canvases of ``region``
+    region: Region  # the canvases' places
 
 
 def find_outlines(

@@ -40,22 +40,15 @@ LEAST_DENSITY = 1e-30
 
 
 class CanvasImages(NamedTuple):
-    """V cameras' images on canvases of S x S cells.
+    """V cameras' images on canvases of S x S cells."""
 
-    Attributes:
-        colour: (V, 3, S, S) uint8, BGR, channel by channel: XLA takes a tenth longer to pick them
-            out of pixels.
-        inside: (V, S, S) 0 to 1, how far the cell lies within the image.
-        background: (V, 3, S, S) uint8, what the cell shows where nobody stands.
-        noise: (V, S, S) float32, its deviation, grey levels.
-        certainty: (V, S, S) float32, 0 to 1, of that background.
-    """
-
+    # (V, 3, S, S) uint8, BGR, channel by channel: XLA takes a tenth longer to pick them out of
+    # pixels.
     colour: Array | np.ndarray
-    inside: Array | np.ndarray
-    background: Array | np.ndarray
-    noise: Array | np.ndarray
-    certainty: Array | np.ndarray
+    inside: Array | np.ndarray  # (V, S, S) 0 to 1, how far the cell lies within the image
+    background: Array | np.ndarray  # (V, 3, S, S) uint8, what the cell shows where nobody stands
+    noise: Array | np.ndarray  # (V, S, S) float32, its deviation, grey levels
+    certainty: Array | np.ndarray  # (V, S, S) float32, 0 to 1, of that background
 
     @classmethod
     def of(cls, canvases: Sequence[Canvas]) -> "CanvasImages":
@@ -68,36 +61,23 @@ class CanvasImages(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """Some steps between two estimates of the densities; static.
-
-    Attributes:
-        steps: how many.
-        width: of H' in cells, of twice the size where ``coarse``.
-        background_width: the same where the background was learned: a limb beside the predicted one
-            attracts the contour from afar.
-        coarse: whether on cells of twice the size.
-        gap: cells about the contour that histograms leave out.
-    """
+    """Some steps between two estimates of the densities; static."""
 
     steps: int
-    width: float
+    width: float  # of H' in cells, of twice the size where ``coarse``
+    # The same where the background was learned: a limb beside the predicted one attracts the
+    # contour from afar.
     background_width: float
-    coarse: bool = False
-    gap: float = 0.0
+    coarse: bool = False  # whether on cells of twice the size
+    gap: float = 0.0  # cells about the contour that histograms leave out
 
 
 class SegmentationPlan(NamedTuple):
-    """What is computed; static.
+    """What is computed; static."""
 
-    Attributes:
-        colour: joint histograms of colours rather than of grey levels.
-        background: whether any background was learned; its densities are of colours.
-        stages: in turn.
-    """
-
-    colour: bool = True
-    background: bool = True
-    stages: tuple[Stage, ...] = (
+    colour: bool = True  # joint histograms of colours rather than of grey levels
+    background: bool = True  # whether any background was learned; its densities are of colours
+    stages: tuple[Stage, ...] = (  # in turn
         Stage(8, 4.0, 8.0, coarse=True, gap=2.0),
         Stage(8, 2.0, 2.0, coarse=True, gap=1.0),
         Stage(10, 1.5, 1.5, gap=0.5),
@@ -105,22 +85,15 @@ class SegmentationPlan(NamedTuple):
 
 
 class LevelSetSettings(NamedTuple):
-    """Traced numbers.
+    """Traced numbers."""
 
-    Attributes:
-        motion: of the level set.
-        largest_log_ratio: log-ratios are cut off here.
-        outlier_share: share of the background that does not look as its model.
-        shape_prior: log-ratio by which a cell far from the predicted silhouette must do better.
-        prior_reach: how far that is, cells.
-        histogram_decay: weight of the histograms before in those of the next frame.
-    """
-
-    motion: LevelSetMotion = LevelSetMotion()
-    largest_log_ratio: Array | float = 3.0
-    outlier_share: Array | float = 0.002
+    motion: LevelSetMotion = LevelSetMotion()  # of the level set
+    largest_log_ratio: Array | float = 3.0  # log-ratios are cut off here
+    outlier_share: Array | float = 0.002  # share of the background that does not look as its model
+    # Log-ratio by which a cell far from the predicted silhouette must do better.
     shape_prior: Array | float = 0.0
-    prior_reach: Array | float = 12.0
+    prior_reach: Array | float = 12.0  # how far that is, cells
+    # Weight of the histograms before in those of the next frame.
     histogram_decay: Array | float = 0.9
 
 
@@ -139,17 +112,11 @@ class Histograms(NamedTuple):
 
 
 class Segmentation(NamedTuple):
-    """Where V cameras show the person.
+    """Where V cameras show the person."""
 
-    Attributes:
-        phi: (V, S, S) cells, positive within the person.
-        log_ratio: (V, S, S) how much likelier a cell is the person than the rest.
-        histograms: to begin the next frame with.
-    """
-
-    phi: Array
-    log_ratio: Array
-    histograms: Histograms
+    phi: Array  # (V, S, S) cells, positive within the person
+    log_ratio: Array  # (V, S, S) how much likelier a cell is the person than the rest
+    histograms: Histograms  # to begin the next frame with
 
 
 @partial(jax.jit, static_argnames="plan")

@@ -54,15 +54,10 @@ FINE = 2.0
 
 
 class SilhouettePatch(NamedTuple):
-    """A part of an image, maybe shrunk.
+    """A part of an image, maybe shrunk."""
 
-    Attributes:
-        mask: (h, w) bool, where the person is.
-        region: its pixels in the image's: the corner, and how many of the image one has.
-    """
-
-    mask: np.ndarray
-    region: Region
+    mask: np.ndarray  # (h, w) bool, where the person is
+    region: Region  # its pixels in the image's: the corner, and how many of the image one has
 
     def phi(self, region: Region, size: int) -> np.ndarray:
         """Φ (S, S) float32 on a canvas: cells from the mask's border, positive within."""

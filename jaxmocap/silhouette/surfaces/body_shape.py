@@ -75,17 +75,11 @@ FULL = -1
 
 
 class BodyShape(NamedTuple):
-    """Bones and skin of one person; passes over a recording correct both.
-
-    Attributes:
-        skeleton: the bones.
-        surfaces: its low-passes, coarse to fine, and itself, node for node.
-        skins: of ``surfaces``, as kinematics move them.
-    """
+    """Bones and skin of one person; passes over a recording correct both."""
 
     skeleton: Skeleton
-    surfaces: tuple[Surface, ...]
-    skins: tuple[Skin, ...]
+    surfaces: tuple[Surface, ...]  # its low-passes, coarse to fine, and itself, node for node
+    skins: tuple[Skin, ...]  # of ``surfaces``, as kinematics move them
 
     @classmethod
     def of(

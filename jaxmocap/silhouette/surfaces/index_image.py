@@ -26,17 +26,11 @@ REACH = 3
 
 
 class Boundary(NamedTuple):
-    """K cells of a canvas on the body's boundary.
+    """K cells of a canvas on the body's boundary."""
 
-    Attributes:
-        cells: (K, 2) column and row.
-        nodes: (K,) of the surface.
-        normals: (K, 2) unit vectors away from what occludes.
-    """
-
-    cells: np.ndarray
-    nodes: np.ndarray
-    normals: np.ndarray
+    cells: np.ndarray  # (K, 2) column and row
+    nodes: np.ndarray  # (K,) of the surface
+    normals: np.ndarray  # (K, 2) unit vectors away from what occludes
 
 
 def node_keys(x: Array, y: Array, depths: Array, size: int) -> tuple[Array, Array]:

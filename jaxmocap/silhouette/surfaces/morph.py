@@ -33,16 +33,12 @@ from jaxmocap.geometry.rotations import HIGHEST
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Morph:
-    """A morphing of one skeleton with D joints and one surface of N nodes, by S drivers.
+    """A morphing of one skeleton with D joints and one surface of N nodes, by S drivers."""
 
-    Attributes:
-        drivers: with indices of joints for names (static).
-        follower_gains: (D, S) radians by drivers of 1; no driver is itself driven.
-        moves: (N, 3, S) metres by drivers of 1, in the bones' frames; None: no skin goes along.
-    """
-
+    # With indices of joints for names (static).
     drivers: tuple[tuple[tuple[int, ...], str], ...] = field(metadata={"static": True})
-    follower_gains: Array
+    follower_gains: Array  # (D, S) radians by drivers of 1; no driver is itself driven
+    # (N, 3, S) metres by drivers of 1, in the bones' frames; None: no skin goes along.
     moves: Array | None
 
 

@@ -48,74 +48,42 @@ from jaxmocap.silhouette.surfaces.swelling import morph_around
 
 @dataclass(frozen=True)
 class RimSettings:
-    """Sizes; static.
+    """Sizes; static."""
 
-    Attributes:
-        size: of the canvas, cells.
-        outer: rim points kept of each camera, evenly along the outline.
-        inner: those kept of boundaries between limbs; 0 does not look for them.
-        spacing: of the denser surface's nodes, metres.
-        jump: in depth that makes a boundary between limbs, metres.
-        margin: around the person, as a fraction of its extent.
-        finest: image pixels to a cell, at least.
-        outwards: steps of a node to a neighbour farther out along its normal, at most.
-        along: price of a cell that it goes along the outline, in cells farther out.
-        levels: of the surface's low-passes, coarse to fine: harmonics around and waves along each
-            limb.
-    """
-
-    size: int = 192
-    outer: int = 256
-    inner: int = 96
-    spacing: float = 0.009
-    jump: float = 0.04
-    margin: float = 0.03
-    finest: float = 0.25
-    outwards: int = 3
-    along: float = 0.0
+    size: int = 192  # of the canvas, cells
+    outer: int = 256  # rim points kept of each camera, evenly along the outline
+    inner: int = 96  # those kept of boundaries between limbs; 0 does not look for them
+    spacing: float = 0.009  # of the denser surface's nodes, metres
+    jump: float = 0.04  # in depth that makes a boundary between limbs, metres
+    margin: float = 0.03  # around the person, as a fraction of its extent
+    finest: float = 0.25  # image pixels to a cell, at least
+    outwards: int = 3  # steps of a node to a neighbour farther out along its normal, at most
+    along: float = 0.0  # price of a cell that it goes along the outline, in cells farther out
+    # Of the surface's low-passes, coarse to fine: harmonics around and waves along each limb.
     levels: tuple[tuple[int, int], ...] = ((1, 4), (2, 8), (4, 16))
 
 
 class Rim(NamedTuple):
-    """R points of each of C cameras, padded.
+    """R points of each of C cameras, padded."""
 
-    Attributes:
-        nodes: (C, R) of the denser surface.
-        pixels_xy: (C, R, 2) their projections, in the full image.
-        normals: (C, R, 2) unit vectors in the image, out of the body.
-        inner: (C, R) is it a boundary between limbs, which no mask shows?
-        valid: (C, R) False for padding.
-        masks: (C, size, size) uint8 of the body on the canvases.
-        region: the canvases' places in the images.
-    """
-
-    nodes: np.ndarray
-    pixels_xy: np.ndarray
-    normals: np.ndarray
-    inner: np.ndarray
-    valid: np.ndarray
-    masks: np.ndarray
-    region: Region
+    nodes: np.ndarray  # (C, R) of the denser surface
+    pixels_xy: np.ndarray  # (C, R, 2) their projections, in the full image
+    normals: np.ndarray  # (C, R, 2) unit vectors in the image, out of the body
+    inner: np.ndarray  # (C, R) is it a boundary between limbs, which no mask shows?
+    valid: np.ndarray  # (C, R) False for padding
+    masks: np.ndarray  # (C, size, size) uint8 of the body on the canvases
+    region: Region  # the canvases' places in the images
 
 
 class ProjectedNodes(NamedTuple):
-    """M nodes as C cameras see them.
+    """M nodes as C cameras see them."""
 
-    Attributes:
-        u: (C, M) pixel's column in the whole image.
-        v: (C, M) its row.
-        depth: (C, M) metres.
-        places: (C, M) on the canvas.
-        keys: (C, M) for ``index_image``.
-        region: of the canvases.
-    """
-
-    u: Any
-    v: Any
-    depth: Any
-    places: Any
-    keys: Any
-    region: Region
+    u: Any  # (C, M) pixel's column in the whole image
+    v: Any  # (C, M) its row
+    depth: Any  # (C, M) metres
+    places: Any  # (C, M) on the canvas
+    keys: Any  # (C, M) for ``index_image``
+    region: Region  # of the canvases
 
 
 def on_canvases(

@@ -40,15 +40,10 @@ FREEDOM = 10.0
 
 
 class NodePairs(NamedTuple):
-    """The pairs that a pose was found with.
+    """The pairs that a pose was found with."""
 
-    Attributes:
-        nodes: (C, N) of the surface.
-        pairs: the same pairs, with what robust weighting leaves of their weights.
-    """
-
-    nodes: np.ndarray
-    pairs: ContourPairs
+    nodes: np.ndarray  # (C, N) of the surface
+    pairs: ContourPairs  # the same pairs, with what robust weighting leaves of their weights
 
 
 @partial(jax.jit, static_argnames="lengths")

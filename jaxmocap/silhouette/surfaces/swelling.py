@@ -38,17 +38,12 @@ SIDED = ("aside", "skew")
 
 @dataclass(frozen=True)
 class SwellingFields:
-    """P fields over the N nodes of a surface.
+    """P fields over the N nodes of a surface."""
 
-    Attributes:
-        names: of the fields: patch without its side, kind and stretch.
-        moves: (N, 3, P) where a node goes with an amount of 1, in its bones' frames.
-        deviations: (P,) of the amounts among people, metres.
-    """
-
+    # Of the fields: patch without its side, kind and stretch.
     names: tuple[tuple[str, str, int], ...]
-    moves: np.ndarray
-    deviations: np.ndarray
+    moves: np.ndarray  # (N, 3, P) where a node goes with an amount of 1, in its bones' frames
+    deviations: np.ndarray  # (P,) of the amounts among people, metres
 
 
 def fields_of(surface: Surface, joints: np.ndarray) -> SwellingFields:

@@ -62,27 +62,18 @@ RATE_CHANGED = 0.2
 
 
 class Advanced(NamedTuple):
-    """What ``advance`` found of E events.
+    """What ``advance`` found of E events."""
 
-    Attributes:
-        poses: (E, 7 + D) packed, those that came among them.
-        given: (2,) the first that is given out now, and the first that is not.
-        left: () how many left the window.
-        correction: (N,) tangent vector from where the event that was given out last is now to where
-            it was then.
-        deviations: (L, 3) of what is given out, world, metres.
-        from_prior: (L,) 1 where markers and video leave a landmark almost as uncertain as it is
-            without them, else 0.
-        arms_spread: (2, 3, 3) as of ``WindowState``.
-    """
-
-    poses: Numbers
-    given: Numbers
-    left: Numbers
+    poses: Numbers  # (E, 7 + D) packed, those that came among them
+    given: Numbers  # (2,) the first that is given out now, and the first that is not
+    left: Numbers  # () how many left the window
+    # (N,) tangent vector from where the event that was given out last is now to where it was then.
     correction: Numbers
-    deviations: Numbers
+    deviations: Numbers  # (L, 3) of what is given out, world, metres
+    # (L,) 1 where markers and video leave a landmark almost as uncertain as it is without them,
+    # else 0.
     from_prior: Numbers
-    arms_spread: Numbers
+    arms_spread: Numbers  # (2, 3, 3) as of ``WindowState``
 
 
 @program("quick")

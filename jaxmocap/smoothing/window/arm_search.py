@@ -29,21 +29,14 @@ COUNTS = 0.5
 
 
 class ArmSearch(NamedTuple):
-    """What a frame says of arms elsewhere.
+    """What a frame says of arms elsewhere."""
 
-    Attributes:
-        side: of the arm that would cost least elsewhere, 0 for the left one.
-        turn: (3,) of its forearm, as of ``TURNS``, radians.
-        gain: by how much less that costs than where the arm is, nats.
-        away: of its elbow from there, metres.
-        spread: (2, 3, 3) root mean squares of how far elbow, wrist and hand's tip of either arm may
-            be from where they are, world, metres.
-    """
-
-    side: Array
-    turn: Array
-    gain: Array
-    away: Array
+    side: Array  # of the arm that would cost least elsewhere, 0 for the left one
+    turn: Array  # (3,) of its forearm, as of ``TURNS``, radians
+    gain: Array  # by how much less that costs than where the arm is, nats
+    away: Array  # of its elbow from there, metres
+    # (2, 3, 3) root mean squares of how far elbow, wrist and hand's tip of either arm may be from
+    # where they are, world, metres.
     spread: Array
 
 

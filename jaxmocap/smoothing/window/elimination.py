@@ -28,15 +28,10 @@ RAISED, ATTEMPTS = 1000.0, 4
 
 
 class MarginalPrior(NamedTuple):
-    """Evidence of the events before a window about its first two, as a quadratic of their steps.
+    """Evidence of the events before a window about its first two, as a quadratic of their steps."""
 
-    Attributes:
-        hessian: (2 N, 2 N) of half the cost.
-        gradient: (2 N,) likewise, at no step.
-    """
-
-    hessian: Array
-    gradient: Array
+    hessian: Array  # (2 N, 2 N) of half the cost
+    gradient: Array  # (2 N,) likewise, at no step
 
     @classmethod
     def none(cls, size: int, dtype: jnp.dtype) -> "MarginalPrior":
@@ -49,21 +44,14 @@ class MarginalPrior(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What E events cost about a pose each, and what ties them.
+    """What E events cost about a pose each, and what ties them."""
 
-    Attributes:
-        hessian: (E, N, N) of half an event's own cost.
-        gradient: (E, N) likewise.
-        points: (E, M) landmarks, world, metres.
-        jacobian: (E, M, N) of these.
-        stencil: (E, 3) of the points of an event and of the next two, to their acceleration in its
-            deviations; 0 where there are none.
-    """
-
-    hessian: Array
-    gradient: Array
-    points: Array
-    jacobian: Array
+    hessian: Array  # (E, N, N) of half an event's own cost
+    gradient: Array  # (E, N) likewise
+    points: Array  # (E, M) landmarks, world, metres
+    jacobian: Array  # (E, M, N) of these
+    # (E, 3) of the points of an event and of the next two, to their acceleration in its deviations;
+    # 0 where there are none.
     stencil: Array
 
     def points_at(self, steps: Array) -> Array:
@@ -79,19 +67,12 @@ class Evidence(NamedTuple):
 
 
 class Eliminated(NamedTuple):
-    """The factor of the events' equations, and what it leaves over.
+    """The factor of the events' equations, and what it leaves over."""
 
-    Attributes:
-        own: (E, N, N) lower triangle L of each event.
-        ahead: (E, N, 2 N) W, by which it is tied to the next two.
-        pull: (E, N) y.
-        rest: about the two events after the last one that was eliminated.
-    """
-
-    own: Array
-    ahead: Array
-    pull: Array
-    rest: MarginalPrior
+    own: Array  # (E, N, N) lower triangle L of each event
+    ahead: Array  # (E, N, 2 N) W, by which it is tied to the next two
+    pull: Array  # (E, N) y
+    rest: MarginalPrior  # about the two events after the last one that was eliminated
 
 
 def eliminate(

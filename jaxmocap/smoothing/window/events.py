@@ -65,19 +65,12 @@ def any_image(images: Images) -> bool:
 
 
 class Expected(NamedTuple):
-    """What is expected at an event before it is solved.
+    """What is expected at an event before it is solved."""
 
-    Attributes:
-        pose: the last one, moved as the markers' pose moved.
-        ahead: (2,) horizontal part of the x axis of the markers' pelvis.
-        upright: (2,) of its z axis.
-        ankles: (2, 3) of the markers' pose, world, metres.
-    """
-
-    pose: Pose
-    ahead: Array | np.ndarray
-    upright: Array | np.ndarray
-    ankles: Array | np.ndarray
+    pose: Pose  # the last one, moved as the markers' pose moved
+    ahead: Array | np.ndarray  # (2,) horizontal part of the x axis of the markers' pelvis
+    upright: Array | np.ndarray  # (2,) of its z axis
+    ankles: Array | np.ndarray  # (2, 3) of the markers' pose, world, metres
 
 
 def expected_at(
@@ -114,23 +107,14 @@ WindowFrame = tuple[int, MeasuredFrame, tuple[int, int]]
 
 @dataclass
 class WindowEvent:
-    """One step of the tracker, while it can still change.
+    """One step of the tracker, while it can still change."""
 
-    Attributes:
-        number: of it, counted from 0.
-        time: seconds.
-        markers_world: (M, 3) metres; NaN where missing.
-        pose: as it is now.
-        frames: of the cameras that had a new one.
-        learned: whether the frames were learned from.
-    """
-
-    number: int
-    time: float
-    markers_world: np.ndarray
-    pose: Pose
-    frames: list[WindowFrame]
-    learned: bool = False
+    number: int  # of it, counted from 0
+    time: float  # seconds
+    markers_world: np.ndarray  # (M, 3) metres; NaN where missing
+    pose: Pose  # as it is now
+    frames: list[WindowFrame]  # of the cameras that had a new one
+    learned: bool = False  # whether the frames were learned from
 
 
 def new_events(

@@ -45,23 +45,14 @@ LINEAR_M = 0.005
 
 
 class Window(NamedTuple):
-    """E events as they were linearised last, and a step on.
+    """E events as they were linearised last, and a step on."""
 
-    Attributes:
-        fit: of their terms, about the poses from which the step goes.
-        drawn: of their silhouettes, likewise; None without cameras.
-        marginal: about the first two, likewise.
-        steps: (E, N).
-        poses: (E, 7 + D) packed, where the steps lead.
-        misplaced: () by how much the derivatives misplace any landmark there, metres.
-    """
-
-    fit: FramesFit
-    drawn: Drawn | None
-    marginal: MarginalPrior
-    steps: Array
-    poses: Array
-    misplaced: Array
+    fit: FramesFit  # of their terms, about the poses from which the step goes
+    drawn: Drawn | None  # of their silhouettes, likewise; None without cameras
+    marginal: MarginalPrior  # about the first two, likewise
+    steps: Array  # (E, N)
+    poses: Array  # (E, 7 + D) packed, where the steps lead
+    misplaced: Array  # () by how much the derivatives misplace any landmark there, metres
 
 
 def solve(

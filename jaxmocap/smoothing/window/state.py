@@ -32,23 +32,14 @@ SURE_EVERY = 5
 
 
 class EventArrays(NamedTuple):
-    """E events, the first K of which are there.
+    """E events, the first K of which are there."""
 
-    Attributes:
-        filled: () K.
-        since: (E,) seconds from the event before each.
-        poses: (E, 7 + D) packed.
-        measured: (E, ...) besides the silhouettes.
-        shown: (E, C) which cameras had a frame.
-        grids: (E, C, ...) what these show; None without cameras.
-    """
-
-    filled: Numbers
-    since: Numbers
-    poses: Numbers
-    measured: Measurements
-    shown: Numbers
-    grids: SilhouetteGrids | None
+    filled: Numbers  # () K
+    since: Numbers  # (E,) seconds from the event before each
+    poses: Numbers  # (E, 7 + D) packed
+    measured: Measurements  # (E, ...) besides the silhouettes
+    shown: Numbers  # (E, C) which cameras had a frame
+    grids: SilhouetteGrids | None  # (E, C, ...) what these show; None without cameras
 
     def joined(self, news: "EventArrays") -> "EventArrays":
         """With ``NEW`` others behind; there must be room."""
@@ -93,21 +84,13 @@ def later_rows(tree: Any, left: Array) -> Any:
 
 
 class Drawn(NamedTuple):
-    """What the silhouettes of E events cost near the poses where they were drawn.
+    """What the silhouettes of E events cost near the poses where they were drawn."""
 
-    Attributes:
-        cost: (E,) of them there.
-        hessian: (E, N, N) of half the cost, by the pose's tangent vector.
-        gradient: (E, N) likewise.
-        points: (E, 3 L) the landmarks there, world, metres; NaN before the first time.
-        step: (E, N) from an event's pose to that where it was drawn.
-    """
-
-    cost: Array
-    hessian: Array
-    gradient: Array
-    points: Array
-    step: Array
+    cost: Array  # (E,) of them there
+    hessian: Array  # (E, N, N) of half the cost, by the pose's tangent vector
+    gradient: Array  # (E, N) likewise
+    points: Array  # (E, 3 L) the landmarks there, world, metres; NaN before the first time
+    step: Array  # (E, N) from an event's pose to that where it was drawn
 
     @classmethod
     def never(cls, events: int, size: int, dtype: Any) -> "Drawn":
@@ -131,34 +114,22 @@ class Drawn(NamedTuple):
 
 
 class WindowState(NamedTuple):
-    """The newest events, and what the ones before them tell.
+    """The newest events, and what the ones before them tell."""
 
-    Attributes:
-        events: ``PLACES`` of them.
-        drawn: their silhouettes' costs; None without cameras.
-        given: () how many of them were given out.
-        last_given: (7 + D,) the pose that was given out last, as it was then.
-        marginal: about the first two.
-        sure: (2, 2 N, 2 N) the same for deviations: with silhouettes, which err alike and count
-            less, and without.
-        pace: () seconds between events, by which terms are weighed.
-        searched: () video frames since the arms were searched for.
-        arms_spread: (2, 3, 3) how far arms may be elsewhere, see ``ArmSearch``; of the last search.
-        variances: (2, L, 3) of the landmarks, as last found, likewise.
-        stated: () how often poses were given out since.
-    """
-
-    events: EventArrays
-    drawn: Drawn | None
-    given: Array
-    last_given: Array
-    marginal: MarginalPrior
+    events: EventArrays  # ``PLACES`` of them
+    drawn: Drawn | None  # their silhouettes' costs; None without cameras
+    given: Array  # () how many of them were given out
+    last_given: Array  # (7 + D,) the pose that was given out last, as it was then
+    marginal: MarginalPrior  # about the first two
+    # (2, 2 N, 2 N) the same for deviations: with silhouettes, which err alike and count less, and
+    # without.
     sure: Array
-    pace: Array
-    searched: Array
+    pace: Array  # () seconds between events, by which terms are weighed
+    searched: Array  # () video frames since the arms were searched for
+    # (2, 3, 3) how far arms may be elsewhere, see ``ArmSearch``; of the last search.
     arms_spread: Array
-    variances: Array
-    stated: Array
+    variances: Array  # (2, L, 3) of the landmarks, as last found, likewise
+    stated: Array  # () how often poses were given out since
 
 
 def init(model: Model, like: EventArrays) -> WindowState:

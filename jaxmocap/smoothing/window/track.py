@@ -107,25 +107,16 @@ def update_frames_markers(events: Sequence[WindowEvent], samples: Sequence[Sampl
 
 
 class TrackPose(NamedTuple):
-    """A pose on the track between two events of a window, or on one of them.
+    """A pose on the track between two events of a window, or on one of them."""
 
-    Attributes:
-        number: of the step, counted from 0.
-        time: of it, seconds.
-        events: (4, 7 + D) packed poses of the two events before and the two after it.
-        spans: (3,) seconds between them; endless where there is no further event on that side.
-        share: of the way between the middle two.
-        markers_world: (M, 3) metres; NaN where missing.
-        offset: (6 + D,) to be moved by.
-    """
-
-    number: int
-    time: float
-    events: np.ndarray
+    number: int  # of the step, counted from 0
+    time: float  # of it, seconds
+    events: np.ndarray  # (4, 7 + D) packed poses of the two events before and the two after it
+    # (3,) seconds between them; endless where there is no further event on that side.
     spans: np.ndarray
-    share: float
-    markers_world: np.ndarray
-    offset: np.ndarray = np.zeros(0)
+    share: float  # of the way between the middle two
+    markers_world: np.ndarray  # (M, 3) metres; NaN where missing
+    offset: np.ndarray = np.zeros(0)  # (6 + D,) to be moved by
 
 
 def at_event(event: WindowEvent) -> TrackPose:

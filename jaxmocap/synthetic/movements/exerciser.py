@@ -34,16 +34,12 @@ R_FORWARD_REST = Rotation.from_euler("z", 90, degrees=True).as_matrix()
 
 @dataclass(frozen=True)
 class Exerciser(RiggedMesh):
-    """A rigged mesh that moves through key stances.
+    """A rigged mesh that moves through key stances."""
 
-    Attributes:
-        curves: channels of ``KeyStance`` over time.
-        hands: (2, 3) where left and right wrist are planted, world, metres; None: nowhere.
-        girdle: how far the shoulders go with raised arms; None: they stay on the chest.
-    """
-
-    curves: Spline
+    curves: Spline  # channels of ``KeyStance`` over time
+    # (2, 3) where left and right wrist are planted, world, metres; None: nowhere.
     hands: np.ndarray | None = None
+    # How far the shoulders go with raised arms; None: they stay on the chest.
     girdle: Girdle | None = None
 
     def rig(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

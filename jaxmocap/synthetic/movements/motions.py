@@ -96,16 +96,11 @@ REST_S = 0.25
 
 @dataclass(frozen=True)
 class Performance:
-    """A movement of one person, at any time.
+    """A movement of one person, at any time."""
 
-    Attributes:
-        figure: the person who moves.
-        curves: posture channels over time.
-        starts: (S,) seconds at which a stroke, or a reach, begins; what follows the last is rest.
-    """
-
-    figure: Figure
-    curves: Spline
+    figure: Figure  # the person who moves
+    curves: Spline  # posture channels over time
+    # (S,) seconds at which a stroke, or a reach, begins; what follows the last is rest.
     starts: np.ndarray
 
     def bones(self, times: np.ndarray) -> BoneFrames:

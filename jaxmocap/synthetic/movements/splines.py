@@ -41,29 +41,23 @@ class StanceChannels(NamedTuple):
 
 @dataclass(frozen=True)
 class KeyStance:
-    """The stance of a body at one time: degrees, metres.
+    """The stance of a body at one time: degrees, metres."""
 
-    Attributes:
-        place: of the hips' middle on the floor, x (ahead) and y (left).
-        lift: of the lowest part of the body above the floor.
-        turn: of the hips: left about the vertical, then bowed, then towards the right.
-        back: of the chest against the hips: bowed, towards the right, turned left.
-        neck: bowed.
-        arm_l: flexion, abduction and inward rotation of the upper arm, and of the elbow, flexion.
-        arm_r: the same on the right.
-        leg_l: flexion, abduction and inward rotation of the thigh, flexion of the knee, and of
-            the ankle, how far the toes point down.
-        leg_r: the same on the right.
-    """
-
+    # Of the hips' middle on the floor, x (ahead) and y (left).
     place: tuple[float, float] = (0.0, 0.0)
-    lift: float = 0.0
+    lift: float = 0.0  # of the lowest part of the body above the floor
+    # Of the hips: left about the vertical, then bowed, then towards the right.
     turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # Of the chest against the hips: bowed, towards the right, turned left.
     back: tuple[float, float, float] = (2.0, 0.0, 0.0)
-    neck: float = 0.0
+    neck: float = 0.0  # bowed
+    # Flexion, abduction and inward rotation of the upper arm, and of the elbow, flexion.
     arm_l: tuple[float, float, float, float] = (4.0, 9.0, 0.0, 14.0)
-    arm_r: tuple[float, float, float, float] = (4.0, 9.0, 0.0, 14.0)
+    arm_r: tuple[float, float, float, float] = (4.0, 9.0, 0.0, 14.0)  # the same on the right
+    # Flexion, abduction and inward rotation of the thigh, flexion of the knee, and of the ankle,
+    # how far the toes point down.
     leg_l: tuple[float, float, float, float, float] = (2.0, 4.0, -6.0, 4.0, 2.0)
+    # The same on the right.
     leg_r: tuple[float, float, float, float, float] = (2.0, 4.0, -6.0, 4.0, 2.0)
 
     def channels(self) -> np.ndarray:

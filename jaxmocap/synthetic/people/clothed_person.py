@@ -69,17 +69,11 @@ HAIRS = ((0.06, 0.08, 0.12), (0.16, 0.24, 0.36), (0.20, 0.22, 0.24))
 
 @dataclass(frozen=True)
 class Actor:
-    """A mesh that moves.
+    """A mesh that moves."""
 
-    Attributes:
-        mesh: at rest.
-        performance: the movement of its bones.
-        rest: (B, 3) joints of the bones at rest, metres.
-    """
-
-    mesh: QuadMesh
-    performance: Performance
-    rest: np.ndarray
+    mesh: QuadMesh  # at rest
+    performance: Performance  # the movement of its bones
+    rest: np.ndarray  # (B, 3) joints of the bones at rest, metres
 
     def vertices(self, times: np.ndarray) -> np.ndarray:
         """(T, V, 3) in the world, metres, at (T,) times, seconds."""

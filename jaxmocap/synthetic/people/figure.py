@@ -34,37 +34,24 @@ class Posture:
     """One key posture. Lengths in metres, angles in degrees.
 
     Arms are mirrored: ``out`` is the body's own side for either.
-
-    Attributes:
-        pelvis: forward, left, up, from upright standing.
-        yaw: of the pelvis, to the left.
-        pitch: of the pelvis, forward.
-        flexion: of the spine, forward.
-        twist: of the spine, to the left.
-        bend: of the spine, to the right.
-        gaze: yaw and pitch of the head on top of looking ahead.
-        reach_l: forward, out, up from the shoulder, in arm lengths, in the chest's frame.
-        reach_r: likewise.
-        swivel_l: of the elbow about the line from shoulder to wrist; 0 behind a hanging arm and
-            below a raised one, positive outward and up.
-        swivel_r: likewise.
-        wrist_l: flexion and pronation of the hand on the forearm.
-        wrist_r: likewise.
     """
 
-    pelvis: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    yaw: float = 0.0
-    pitch: float = 0.0
-    flexion: float = 0.0
-    twist: float = 0.0
-    bend: float = 0.0
-    gaze: tuple[float, float] = (0.0, 0.0)
+    pelvis: tuple[float, float, float] = (0.0, 0.0, 0.0)  # forward, left, up, from upright standing
+    yaw: float = 0.0  # of the pelvis, to the left
+    pitch: float = 0.0  # of the pelvis, forward
+    flexion: float = 0.0  # of the spine, forward
+    twist: float = 0.0  # of the spine, to the left
+    bend: float = 0.0  # of the spine, to the right
+    gaze: tuple[float, float] = (0.0, 0.0)  # yaw and pitch of the head on top of looking ahead
+    # Forward, out, up from the shoulder, in arm lengths, in the chest's frame.
     reach_l: tuple[float, float, float] = (0.45, 0.10, -0.45)
-    reach_r: tuple[float, float, float] = (0.45, 0.10, -0.45)
+    reach_r: tuple[float, float, float] = (0.45, 0.10, -0.45)  # likewise
+    # Of the elbow about the line from shoulder to wrist; 0 behind a hanging arm and below a raised
+    # one, positive outward and up.
     swivel_l: float = 40.0
-    swivel_r: float = 40.0
-    wrist_l: tuple[float, float] = (0.0, 0.0)
-    wrist_r: tuple[float, float] = (0.0, 0.0)
+    swivel_r: float = 40.0  # likewise
+    wrist_l: tuple[float, float] = (0.0, 0.0)  # flexion and pronation of the hand on the forearm
+    wrist_r: tuple[float, float] = (0.0, 0.0)  # likewise
 
     def channels(self) -> np.ndarray:
         """(22,) the attributes in their order, angles in radians."""
@@ -112,19 +99,12 @@ class BoneFrames(NamedTuple):
 
 @dataclass(frozen=True)
 class Figure:
-    """A person of given bones, standing at the world's origin and facing +x.
+    """A person of given bones, standing at the world's origin and facing +x."""
 
-    Attributes:
-        skeleton: true lengths of this person.
-        height: body height, metres.
-        ankles: side -> (3,) where the ankle stands, metres.
-        toes_out: how far the feet turn outward, radians.
-    """
-
-    skeleton: Skeleton
-    height: float
-    ankles: dict[str, np.ndarray]
-    toes_out: float = 0.2
+    skeleton: Skeleton  # true lengths of this person
+    height: float  # body height, metres
+    ankles: dict[str, np.ndarray]  # side -> (3,) where the ankle stands, metres
+    toes_out: float = 0.2  # how far the feet turn outward, radians
 
     @classmethod
     def standing(cls, skeleton: Skeleton, height: float, stance: float = 0.34) -> "Figure":

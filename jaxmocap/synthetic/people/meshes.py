@@ -11,21 +11,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class QuadMesh:
-    """V vertices in F quadrilaterals, skinned to bones by linear blending.
+    """V vertices in F quadrilaterals, skinned to bones by linear blending."""
 
-    Attributes:
-        vertices: (V, 3) at rest, metres.
-        faces: (F, 4) vertex indices, anticlockwise seen from outside.
-        colours: (F, 3) reflectance, BGR, 0 to 1.
-        bones: (V, K) indices of the bones that carry a vertex.
-        weights: (V, K) their shares, adding up to 1.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    colours: np.ndarray
-    bones: np.ndarray
-    weights: np.ndarray
+    vertices: np.ndarray  # (V, 3) at rest, metres
+    faces: np.ndarray  # (F, 4) vertex indices, anticlockwise seen from outside
+    colours: np.ndarray  # (F, 3) reflectance, BGR, 0 to 1
+    bones: np.ndarray  # (V, K) indices of the bones that carry a vertex
+    weights: np.ndarray  # (V, K) their shares, adding up to 1
 
     def posed(self, R_world_bone: np.ndarray, shifts: np.ndarray) -> np.ndarray:
         """Vertices (T, V, 3) with the bones moved by turns (T, B, 3, 3) from their rest.

@@ -77,30 +77,19 @@ SHOES = np.array([0.70, 0.70, 0.70])
 
 
 class Rig(NamedTuple):
-    """A mesh and its J joints at rest.
+    """A mesh and its J joints at rest."""
 
-    Attributes:
-        mesh: at rest, metres.
-        names: of the joints.
-        parents: (J,) indices, -1 at the root.
-        rest: (J, 3) joints at rest, metres: facing -y, left is +x.
-    """
-
-    mesh: QuadMesh
-    names: tuple[str, ...]
-    parents: tuple[int, ...]
-    rest: np.ndarray
+    mesh: QuadMesh  # at rest, metres
+    names: tuple[str, ...]  # of the joints
+    parents: tuple[int, ...]  # (J,) indices, -1 at the root
+    rest: np.ndarray  # (J, 3) joints at rest, metres: facing -y, left is +x
 
 
 @dataclass(frozen=True)
 class RiggedMesh(ABC):
-    """A rigged mesh, moved by the ``rig`` of the classes that derive from it.
+    """A rigged mesh, moved by the ``rig`` of the classes that derive from it."""
 
-    Attributes:
-        body: mesh and joints at rest.
-    """
-
-    body: Rig
+    body: Rig  # mesh and joints at rest
 
     @property
     def mesh(self) -> QuadMesh:

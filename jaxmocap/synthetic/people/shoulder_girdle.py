@@ -22,17 +22,11 @@ SETTING_WIDTH_DEG = 6.0
 
 @dataclass(frozen=True)
 class Girdle:
-    """How far a girdle goes with its arm.
+    """How far a girdle goes with its arm."""
 
-    Attributes:
-        setting: elevation of the arm, degrees, from which on it does.
-        raised: degrees up, by the arm's beyond that.
-        drawn_back: degrees back, the same.
-    """
-
-    setting: float = 30.0
-    raised: float = 15 / 120
-    drawn_back: float = 22 / 120
+    setting: float = 30.0  # elevation of the arm, degrees, from which on it does
+    raised: float = 15 / 120  # degrees up, by the arm's beyond that
+    drawn_back: float = 22 / 120  # degrees back, the same
 
     def angles(self, elevation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How far (...) it is up and back, by an arm's elevation (...) from hanging; degrees."""

@@ -52,33 +52,20 @@ FLOOR = 1e-3
 
 
 class Movement(NamedTuple):
-    """S stretches of a movement, each of T moments.
+    """S stretches of a movement, each of T moments."""
 
-    Attributes:
-        times: (T,) seconds of a stretch, evenly.
-        poses: (S, T, ...) of the person.
-        measured: name -> (S, T, ...) as the terms ask for it, without what cameras show.
-    """
-
-    times: Array
-    poses: Pose
-    measured: Measurements
+    times: Array  # (T,) seconds of a stretch, evenly
+    poses: Pose  # (S, T, ...) of the person
+    measured: Measurements  # name -> (S, T, ...) as the terms ask for it, without what cameras show
 
 
 class Information(NamedTuple):
-    """What holds a movement's poses, N = 6 + D unknowns a moment.
+    """What holds a movement's poses, N = 6 + D unknowns a moment."""
 
-    Attributes:
-        times: (T,) seconds of a stretch.
-        poses: (S, T, ...) of the person.
-        hessian: (S, T, N, N) of all evidence but the motion's smoothness.
-        jacobian: (S, T, 3 L, N) of the landmarks.
-    """
-
-    times: Array
-    poses: Pose
-    hessian: Array
-    jacobian: Array
+    times: Array  # (T,) seconds of a stretch
+    poses: Pose  # (S, T, ...) of the person
+    hessian: Array  # (S, T, N, N) of all evidence but the motion's smoothness
+    jacobian: Array  # (S, T, 3 L, N) of the landmarks
 
 
 @jax.jit

@@ -47,37 +47,22 @@ STEEPEST = 1.2
 
 
 class Frame(NamedTuple):
-    """The person's place in the world.
+    """The person's place in the world."""
 
-    Attributes:
-        x: metres, world, of the point on the floor about which the person moves.
-        y: likewise.
-        facing: radians from the world's +x, as the person faces in the mean.
-    """
-
-    x: Array | float
-    y: Array | float
-    facing: Array | float
+    x: Array | float  # metres, world, of the point on the floor about which the person moves
+    y: Array | float  # likewise
+    facing: Array | float  # radians from the world's +x, as the person faces in the mean
 
 
 class CameraPlace(NamedTuple):
-    """Where a camera stands and looks, in the person's frame.
+    """Where a camera stands and looks, in the person's frame."""
 
-    Attributes:
-        ahead: metres, as the person faces.
-        left: metres, to the person's left.
-        height: metres above the floor.
-        yaw: radians, of the line of sight to the left of where the person faces.
-        pitch: radians, upwards.
-        zoom: natural logarithm of the focal length over the lens's own.
-    """
-
-    ahead: Array | float
-    left: Array | float
-    height: Array | float
-    yaw: Array | float
-    pitch: Array | float
-    zoom: Array | float
+    ahead: Array | float  # metres, as the person faces
+    left: Array | float  # metres, to the person's left
+    height: Array | float  # metres above the floor
+    yaw: Array | float  # radians, of the line of sight to the left of where the person faces
+    pitch: Array | float  # radians, upwards
+    zoom: Array | float  # natural logarithm of the focal length over the lens's own
 
     @property
     def distance(self) -> float:
@@ -98,25 +83,15 @@ class Bounds(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """What a camera is placed for.
+    """What a camera is placed for."""
 
-    Attributes:
-        skeleton: of the person.
-        settings: as of ``expected.of_markers``.
-        information: without this camera.
-        frame: the person's.
-        lens: any camera with that lens; its place is of no account.
-        rate: frames a second.
-        weights: (L,) of the ``LANDMARKS``, sum 1.
-    """
-
-    skeleton: Skeleton
-    settings: SmoothingSettings
-    information: Information
-    frame: Frame
-    lens: Camera
-    rate: Array | float
-    weights: Array
+    skeleton: Skeleton  # of the person
+    settings: SmoothingSettings  # as of ``expected.of_markers``
+    information: Information  # without this camera
+    frame: Frame  # the person's
+    lens: Camera  # any camera with that lens; its place is of no account
+    rate: Array | float  # frames a second
+    weights: Array  # (L,) of the ``LANDMARKS``, sum 1
 
 
 def frame_of(information: Information, facing: np.ndarray) -> Frame:
@@ -195,17 +170,11 @@ def ring_about(goal: Goal, bounds: Bounds, stature: float, show: Callable[[float
 
 
 class BestPlace(NamedTuple):
-    """A place that no small step improves.
-
-    Attributes:
-        place: of the camera.
-        error: that is expected there, metres.
-        slope: its derivatives by the place's numbers.
-    """
+    """A place that no small step improves."""
 
     place: CameraPlace
-    error: float
-    slope: CameraPlace
+    error: float  # that is expected there, metres
+    slope: CameraPlace  # its derivatives by the place's numbers
 
 
 def best_place(goal: Goal, bounds: Bounds, ring: Ring, show: Callable[[float], None]) -> BestPlace:

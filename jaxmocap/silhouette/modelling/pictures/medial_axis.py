@@ -26,17 +26,11 @@ SMALLEST = 4
 
 
 class MedialAxis(NamedTuple):
-    """N pixels of an axis, all of them connected.
+    """N pixels of an axis, all of them connected."""
 
-    Attributes:
-        pixels_xy: (N, 2) whole numbers.
-        radii: (N,) distance to the rim, pixels.
-        edges: (N, N) sparse, both ways: steps between neighbours, and closed gaps, pixels.
-    """
-
-    pixels_xy: np.ndarray
-    radii: np.ndarray
-    edges: csr_array
+    pixels_xy: np.ndarray  # (N, 2) whole numbers
+    radii: np.ndarray  # (N,) distance to the rim, pixels
+    edges: csr_array  # (N, N) sparse, both ways: steps between neighbours, and closed gaps, pixels
 
 
 def rim_distance(mask: np.ndarray, goes_on_below: bool = True) -> np.ndarray:

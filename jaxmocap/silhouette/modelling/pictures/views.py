@@ -17,17 +17,12 @@ STEP_M = 0.001
 
 @dataclass(frozen=True)
 class PhotographView:
-    """What one camera saw.
+    """What one camera saw."""
 
-    Attributes:
-        mask: (H, W) bool, the person.
-        camera: calibrated in the world in which the person faces +x.
-        shift: (3,) how far the person has moved since the front view, metres: all points are
-            where they were then.
-    """
-
-    mask: np.ndarray
-    camera: Camera
+    mask: np.ndarray  # (H, W) bool, the person
+    camera: Camera  # calibrated in the world in which the person faces +x
+    # (3,) how far the person has moved since the front view, metres: all points are where they were
+    # then.
     shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @cached_property

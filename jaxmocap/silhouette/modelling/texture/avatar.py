@@ -183,21 +183,13 @@ PICTURE_M = (1.5, 2.1)
 
 
 class Avatar(NamedTuple):
-    """A person's colours.
+    """A person's colours."""
 
-    Attributes:
-        person: skeleton and surface.
-        atlas: where patches lie on the picture.
-        mesh: of the surface.
-        picture: (H, W, 3) BGR uint8.
-        shots: photograph -> what it is of.
-    """
-
-    person: PersonalModel
-    atlas: Atlas
+    person: PersonalModel  # skeleton and surface
+    atlas: Atlas  # where patches lie on the picture
     mesh: SurfaceMesh
-    picture: np.ndarray
-    shots: dict[str, SurfacePhotograph]
+    picture: np.ndarray  # (H, W, 3) BGR uint8
+    shots: dict[str, SurfacePhotograph]  # photograph -> what it is of
 
     def around(self) -> np.ndarray:
         """The person from four sides, as they stood for the front view: (H, W, 3) BGR uint8."""

@@ -16,35 +16,22 @@ from jaxmocap.silhouette.modelling.pictures.views import PhotographView
 
 
 class SurfacePhotograph(NamedTuple):
-    """A photograph of the surface.
+    """A photograph of the surface."""
 
-    Attributes:
-        image: (H, W, 3) BGR uint8.
-        view: mask and camera.
-        nodes_world: (N, 3) of the surface in the pose that it shows, in the camera's world, metres.
-    """
-
-    image: np.ndarray
-    view: PhotographView
+    image: np.ndarray  # (H, W, 3) BGR uint8
+    view: PhotographView  # mask and camera
+    # (N, 3) of the surface in the pose that it shows, in the camera's world, metres.
     nodes_world: np.ndarray
 
 
 class Texels(NamedTuple):
-    """The surface as K texels of its atlas.
+    """The surface as K texels of its atlas."""
 
-    Attributes:
-        rows: (K,) of the picture.
-        columns: (K,) of it.
-        patches: (K,) number of each one's patch.
-        points: (K, 3) world, metres.
-        normals: (K, 3) unit, outward.
-    """
-
-    rows: np.ndarray
-    columns: np.ndarray
-    patches: np.ndarray
-    points: np.ndarray
-    normals: np.ndarray
+    rows: np.ndarray  # (K,) of the picture
+    columns: np.ndarray  # (K,) of it
+    patches: np.ndarray  # (K,) number of each one's patch
+    points: np.ndarray  # (K, 3) world, metres
+    normals: np.ndarray  # (K, 3) unit, outward
 
 
 def texels_of(surface: Surface, atlas: Atlas, mesh: SurfaceMesh, nodes: np.ndarray) -> Texels:
