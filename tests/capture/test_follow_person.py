@@ -42,6 +42,17 @@ def test_who_is_suddenly_elsewhere_is_somebody_else():
     assert (person.confidences[[0, 1, 2, 3, 5]] == 1).all()
 
 
+@pytest.mark.parametrize("begins", [None, 0])
+def test_whose_left_and_right_are_suddenly_swapped_is_followed_on(begins):
+    people = two_people()
+    pixels = people.pixels_xy.copy()
+    pixels[2:5] = pixels[2:5][:, :, [1, 0, 3, 2]]
+    first = None if begins is None else pixels[0, 0]
+    person = follow_person(Detections(people.numbers, NAMES, pixels, people.confidences), first)
+    there = np.where(np.isin(np.arange(FRAMES), (2, 3, 4)), 230, 170)
+    np.testing.assert_allclose(person.pixels_xy[:, 0, 0, 0], there + 8 * np.arange(FRAMES))
+
+
 @pytest.mark.parametrize("missing", [0, 2])
 def test_a_point_that_is_missing_once_is_remembered(missing):
     people = two_people(swapped=())

@@ -171,7 +171,7 @@ def test_a_face_must_be_clearly_smaller_to_tell_the_model(times_larger, model):
 # Files -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("model", ["COCO_17", "COCO_18", "HALPE_26", "COCO_133"])
+@pytest.mark.parametrize("model", ["COCO_17", "COCO_18", "MEDIAPIPE_19", "HALPE_26", "COCO_133"])
 def test_openpose_files_of_every_other_count_need_no_model(tmp_path, model):
     names = [f"cam_01_{i:012d}_keypoints.json" for i in range(8, 12)]
     write(tmp_path, {name: openpose(points(model, i)) for i, name in enumerate(names)})
@@ -235,6 +235,37 @@ def test_mmpose_writes_one_file_for_a_whole_video(tmp_path):
         assert_the_person(actual, 3, 0, 3)
         assert np.isnan(actual.pixels_xy[2]).all()
         assert actual.name == str(folder)
+
+
+def test_joints_in_space_come_with_those_who_have_them(tmp_path):
+    person, joints = points("COCO_17"), np.arange(51.0).reshape(17, 3) / 10
+    joints[5, 2] = np.nan
+    both = [{**instance(person), "keypoints_3d": joints.tolist()}, instance(person)]
+    frames = [{"frame_id": i, "instances": both[: 2 - i]} for i in range(2)]
+    actual = read_keypoints(write(tmp_path, {"cam.json": frames}))
+    index = list(landmark_indices(MODELS["COCO_17"]).values())
+    assert actual.joints_cam is not None and actual.joints_cam.shape == (2, 2, 12, 3)
+    np.testing.assert_array_equal(actual.joints_cam[:, 0], [joints[index]] * 2)
+    assert np.isnan(actual.joints_cam[:, 1]).all()
+    chosen = align_detections(actual, 3, 0).of_people(np.array([1, 0, -1]))
+    assert chosen.joints_cam is not None and np.isnan(chosen.joints_cam[[0, 2]]).all()
+    np.testing.assert_array_equal(chosen.joints_cam[1, 0], joints[index])
+    assert_the_person(chosen, 0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("joints", "says"),
+    [
+        ([[1, 2, 3]] * 16, "keypoints_3d: found shape (16, 3), expected [x, y, z] of each key poi"),
+        ([[1, 2]] * 17, "keypoints_3d: found shape (17, 2), expected [x, y, z] of each key point"),
+        ([[1, 2, 1e3]] * 17, "keypoints_3d: found 1000, expected metres within 100"),
+        ("none", "keypoints_3d: found 'none', expected a list"),
+    ],
+)
+def test_joints_that_are_none_are_refused(tmp_path, joints, says):
+    person = {**instance(points("COCO_17")), "keypoints_3d": joints}
+    write(tmp_path, {"cam.json": [{"frame_id": 0, "instances": [person]}]})
+    assert says in complaint(read_keypoints, tmp_path)
 
 
 def test_mmpose_writes_one_file_per_image(tmp_path):
@@ -459,7 +490,8 @@ def test_markers_on_landmarks_say_who_is_tracked():
     keypoints = Detections(
         np.arange(3), landmarks, is_detected, np.where(np.isnan(is_detected[..., 0]), 0.0, 0.8)
     )
-    pixels, confidences = select_person(keypoints, CAMERA, predicted)
+    chosen = select_person(keypoints, CAMERA, predicted)
+    pixels, confidences = chosen.pixels_xy[:, 0], chosen.confidences[:, 0]
     np.testing.assert_array_equal(pixels[0], is_detected[0, 0])
     np.testing.assert_array_equal(pixels[1], is_detected[1, 1])
     assert np.isnan(pixels[2]).all()
@@ -473,7 +505,7 @@ def test_what_lies_behind_the_camera_predicts_nothing():
     pixels = np.asarray(project(CAMERA, jnp.asarray(predicted, float)))[:, None]
     only_right = np.where([[[[False], [True]]]], pixels, np.nan)
     keypoints = Detections(np.arange(2), ("wrist_l", "wrist_r"), only_right, np.ones((2, 1, 2)))
-    actual, _ = select_person(keypoints, CAMERA, predicted)
+    actual = select_person(keypoints, CAMERA, predicted).pixels_xy[:, 0]
     assert np.isnan(actual[0]).all()
     np.testing.assert_array_equal(actual[1], only_right[1, 0])
 
@@ -536,7 +568,8 @@ def test_the_tracked_persons_elbows_lie_on_the_projected_reference(
     assert keypoints is not None and len(keypoints.pixels_xy) == len(video) == 60
     assert "taken as BODY_25B" in keypoints.warnings[0]
     predicted = marked_landmarks(balancing, keypoints.landmarks, video.times)
-    pixels, confidences = select_person(keypoints, source.camera, predicted)
+    chosen = select_person(keypoints, source.camera, predicted)
+    pixels, confidences = chosen.pixels_xy[:, 0], chosen.confidences[:, 0]
     index = [keypoints.landmarks.index(name) for name in TRUTH]
     expected = np.asarray(project(source.camera, jnp.asarray(reference, float)))
     distances = np.linalg.norm(pixels[:, index] - expected, axis=-1)
@@ -559,14 +592,14 @@ def test_a_bystander_is_never_taken_for_the_tracked_person(balancing, recordings
     keypoints = align_detections(actual, 60)
     predicted = marked_landmarks(balancing, keypoints.landmarks, balancing.times)
     camera = balancing.videos[0].camera
-    pixels, _ = select_person(keypoints, camera, predicted)
+    pixels = select_person(keypoints, camera, predicted).pixels_xy[:, 0]
     taken = (keypoints.pixels_xy == pixels[:, None]).any((2, 3))
     assert (taken.sum(1) == 1).all()
     others = replace(
         keypoints, pixels_xy=np.where(taken[..., None, None], np.nan, keypoints.pixels_xy)
     )
     assert np.isfinite(others.pixels_xy).any((1, 2, 3)).all()
-    left, _ = select_person(others, camera, predicted)
+    left = select_person(others, camera, predicted).pixels_xy[:, 0]
     # In one frame the detector tore the tracked person in two, and the other half is found.
     assert np.flatnonzero(np.isfinite(left).any((1, 2))).tolist() == [37]
     assert np.nanmedian(others.pixels_xy[..., 0]) < 100 < 400 < np.nanmedian(left[37, :, 0])

@@ -27,15 +27,23 @@ from painted_motion import (
 )
 from small_recording import CAMERA, PLACES, small_recording
 
+from jaxmocap.body.kinematics import Sites
+from jaxmocap.body.kinematics import landmarks as landmark_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.motion import landmarks_over_time
-from jaxmocap.body.pose import Pose, retract
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.pose import Pose, relaxed_pose, retract
+from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import MemoryVideo
-from jaxmocap.evidence.keypoints import SightLines, line_residuals, lines_of_sight
-from jaxmocap.evidence.terms import residuals
+from jaxmocap.evidence.keypoints import (
+    EstimatedDepths,
+    SightLines,
+    estimated_depths,
+    line_residuals,
+    lines_of_sight,
+)
+from jaxmocap.evidence.terms import posed_body, residuals
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.geometry.cameras import project
 from jaxmocap.pipelines.tracking.track import lines_at_events, track
@@ -96,7 +104,8 @@ LINE_RESIDUALS = jax.jit(line_residuals)
 def one_line(confidence: float = 1.0) -> SightLines:
     """Of one camera at the origin that looks at one landmark along x."""
     way = np.array([[[1.0, 0.0, 0.0]]], np.float32)
-    return SightLines(np.zeros((1, 3), np.float32), way, np.full((1, 1), confidence, np.float32))
+    sure = np.full((1, 1), confidence, np.float32)
+    return SightLines(np.zeros((1, 3), np.float32), way, sure, np.full_like(sure, np.nan))
 
 
 def cost(off: float, confidence: float = 1.0, along: float = 3.0) -> float:
@@ -120,6 +129,40 @@ def test_a_point_far_off_hardly_pulls():
     )
     near, far = (float(pull(jnp.float32(y))) for y in (SIGMA, 30 * SIGMA))
     assert 0 < far < 0.25 * near
+
+
+def test_a_landmark_costs_by_how_far_beyond_the_hips_it_is_against_the_detector():
+    model, term = Model(PERSON, Sites.none(PERSON.lengths.dtype)), EstimatedDepths()
+    pose, camera = relaxed_pose(PERSON), np.array([3.0, 1.0, 1.2], np.float32)
+    points = np.asarray(landmark_positions(PERSON, pose))
+    hips = points[landmark_rows(("hip_l", "hip_r"))].mean(0)
+    beyond = (points - hips) @ (hips - camera) / np.linalg.norm(hips - camera)
+    off = np.zeros(len(LANDMARKS))
+    off[:3] = 0.5, -1.0, 20.0
+    depths = beyond - off * float(term.deviation)
+    depths[3] = np.nan
+    none = np.zeros((1, len(LANDMARKS), 3), np.float32)
+    sure = np.ones((1, len(LANDMARKS)), np.float32)
+    sure[0, 4], depths[4] = 0.0, 5.0
+    lines = SightLines(camera[None], none, sure, depths[None].astype(np.float32))
+    actual = term.residual(model, posed_body(model, pose), {"sight_lines": lines})[0]
+    expected = np.sign(off) * np.sqrt(TAILS * np.log1p(off**2 / TAILS))
+    np.testing.assert_allclose(actual, expected, atol=1e-4)
+    assert not term.residual(model, posed_body(model, pose), {}).size
+
+
+def test_a_detector_s_person_gets_the_limbs_of_ours():
+    """Of half their size, in a frame without one of them as well."""
+    points = np.asarray(landmark_positions(PERSON, relaxed_pose(PERSON)), float)
+    names = ("shoulder_l", "elbow_l", "wrist_l", "hip_l", "knee_l")
+    joints = np.tile(0.5 * points[landmark_rows(names)], (3, 1, 1))
+    joints[1, 2] = np.nan
+    actual = estimated_depths(PERSON, names, joints)
+    np.testing.assert_allclose(actual[[0, 2]], [points[landmark_rows(names), 2]] * 2, rtol=1e-5)
+    np.testing.assert_allclose(actual[1, :2], points[landmark_rows(names[:2]), 2], rtol=1e-5)
+    assert np.isnan(actual[1, 2])
+    nobody = estimated_depths(PERSON, names, np.full((2, 5, 3), np.nan))
+    assert np.isnan(nobody).all()
 
 
 @pytest.mark.parametrize("lost", ["confidence", "direction"])

@@ -81,7 +81,8 @@ def frame(kind: str):
     if kind == "lines of sight":
         pixels = np.asarray(project(CAMERAS[0], jnp.asarray(points_of(truth(COUNT)))))
         names, sure = LANDMARKS, np.full(pixels.shape[:2], 0.9)
-        there["sight_lines"] = lines_of_sight(CAMERAS[0], names, pixels, sure)
+        depths = np.random.default_rng(5).normal(0, 0.2, sure.shape)
+        there["sight_lines"] = lines_of_sight(CAMERAS[0], names, pixels, sure, depths)
     pose, one = jax.tree.map(lambda part: on_device(part[1]), (truth(COUNT), there))
     step = 0.1 * np.random.default_rng(3).standard_normal(ROOT_DOF + pose.angles.size)
     return retract(pose, on_device(step)), one

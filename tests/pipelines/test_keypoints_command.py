@@ -25,7 +25,8 @@ from jaxmocap.pipelines.keypoints.by_onnx import onnx_detector
 # Stands in for the package in the detector's environment: point n lies at (n, 2 n) hundredths.
 STUB = """
 class Mark:
-    def __init__(self, n): self.x, self.y, self.visibility = n / 100, n / 50, 0.5 + n / 100
+    def __init__(self, n):
+        self.x, self.y, self.z, self.visibility = n / 100, n / 50, -n / 200, 0.5 + n / 100
 class Found:
     landmark = [Mark(n) for n in range(33)]
 class Pose:
@@ -35,6 +36,7 @@ class Pose:
         if self.frames == {dies}: raise RuntimeError("out of something")
         result = type("Result", (), {{}})()
         result.pose_landmarks = None if self.frames == {nobody} or {never} else Found
+        result.pose_world_landmarks = result.pose_landmarks
         return result
 class solutions:
     class pose:
@@ -83,6 +85,12 @@ def test_a_process_detects_and_the_recording_uses_it(recording, environment, cap
     np.testing.assert_allclose(found.pixels_xy[0, 0, elbow], there, atol=0.01)
     np.testing.assert_allclose(found.confidences[0, 0, elbow], 0.5 + number / 100, atol=1e-3)
     assert np.isnan(found.pixels_xy[2]).all()
+    # Where it takes them to be in space, and the toes.
+    assert found.joints_cam is not None
+    joint = [number / 100, number / 50, -number / 200]
+    np.testing.assert_allclose(found.joints_cam[0, 0, elbow], joint, atol=1e-3)
+    toe = found.landmarks.index("toe_r")
+    np.testing.assert_allclose(found.confidences[0, 0, toe], 0.82, atol=1e-3)
     # Again: the line stays one line, the file is replaced.
     assert detect(recording, "--python", sys.executable, "--write") == 0
     assert recording.read_text("utf-8") == text
@@ -91,10 +99,10 @@ def test_a_process_detects_and_the_recording_uses_it(recording, environment, cap
 @pytest.mark.parametrize(
     ("answers", "says"),
     [
-        ("print('[[1, 2, 3], [4, 5]]')", "answered '[[1, 2, 3], [4, 5]]\\n', expected 17 times"),
-        ("print('[' * 30_000_000)", "expected 17 times [x, y, confidence]"),
-        ("print('{\"a\": 1}')", "expected 17 times [x, y, confidence]"),
-        ("print([[1, 2, float('nan')]] * 17)", "expected 17 times [x, y, confidence]"),
+        ("print('[[1, 2, 3], [4, 5]]')", "answered '[[1, 2, 3], [4, 5]]\\n', expected 19 times"),
+        ("print('[' * 30_000_000)", "expected 19 times 6 numbers"),
+        ("print('{\"a\": 1}')", "expected 19 times 6 numbers"),
+        ("print([[1, 2, float('nan'), 4, 5, 6]] * 19)", "expected 19 times 6 numbers"),
         ("time.sleep(60)", "gave no answer within 2 s (--detector-timeout)"),
     ],
 )
@@ -142,7 +150,7 @@ def test_what_was_stated_of_other_key_points_is_stated_of_these(recording, envir
     recording.write_text(text, encoding="utf-8")
     assert detect(recording, "--python", sys.executable, "--write") == 0
     source = Recording.load(recording).videos[0]
-    assert (source.keypoints_model, source.keypoints_first) == ("COCO_17", 0)
+    assert (source.keypoints_model, source.keypoints_first) == ("MEDIAPIPE_19", 0)
     assert len(read_keypoints(source.keypoints, source.keypoints_model).numbers) == FRAMES
 
 

@@ -83,6 +83,23 @@ def test_a_walker_before_one_camera_is_found_in_the_world(truth, found):
     assert off.mean() < 0.10 and aligned.mean() < 0.07
 
 
+def test_frames_in_which_left_is_taken_for_right_do_not_turn_the_person(truth):
+    rows = landmark_rows(NAMES)
+    pixels = np.array(project(CAMERA, jnp.asarray(truth[:, rows], float)))
+    other = [NAMES.index(name[:-1] + {"l": "r", "r": "l"}[name[-1]]) for name in NAMES]
+    pixels[5:] = pixels[5:, other]
+    lines = lines_of_sight(CAMERA, NAMES, pixels, np.ones(pixels.shape[:2]))
+    swapped = poses_of_lines(BODY, TIMES, lines, KeypointPoseSettings())
+    points = landmarks_over_time(swapped.skeleton, swapped.poses)
+    assert np.linalg.norm(points - truth, axis=-1)[:, rows].mean() < 0.10
+    # Their lines are given back the right way round.
+    left, right = landmark_rows(("hip_l", "hip_r"))
+    np.testing.assert_array_equal(
+        swapped.lines.directions[5:, 0, left], lines.directions[5:, 0, right]
+    )
+    np.testing.assert_array_equal(swapped.lines.directions[:5, 0], lines.directions[:5, 0])
+
+
 def test_a_frame_without_key_points_lies_between_its_neighbours(found):
     places = np.asarray(found.poses.position)
     np.testing.assert_allclose(places[3], (places[2] + places[4]) / 2, atol=0.03)

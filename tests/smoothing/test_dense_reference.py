@@ -60,13 +60,15 @@ def problem() -> reference.Problem:
     sure = rng.uniform(0.2, 1, ways.shape[:-1])
     sure[:, :, ::3] = 0.0
     ways[:, :, ::3] = np.nan
+    depths = rng.normal(0, 0.2, sure.shape)
+    depths[:, :, 1::4] = np.nan
     measured = {
         "markers": markers,
         "upright": np.zeros((len(TIMES), 2)),
         "facing": np.tile([1.0, 0.0, 0.0], (len(TIMES), 1)),
         "ankles": points[:, [LANDMARKS.index(f"ankle_{side}") for side in "lr"]],
         "elbows": elbows,
-        "sight_lines": SightLines(origin, ways, sure),
+        "sight_lines": SightLines(origin, ways, sure, depths),
     }
     start = Pose(*(np.stack(part) for part in zip(*poses, strict=True)))
     start = start._replace(angles=start.angles + 0.02 * rng.normal(size=start.angles.shape))

@@ -48,8 +48,8 @@ class KeypointFrame:
     """Everybody in one frame."""
 
     number: int  # of the frame, as its file counts
-    # (K, 3) pixels x, y and confidence of each; NaN, NaN, 0 where missing. (K, 6) where the file has
-    # joints: x, y, z about the hips' middle, in the camera's axes, metres.
+    # (K, 3) pixels x, y and confidence of each; NaN, NaN, 0 where missing. (K, 6) where the file
+    # has joints: x, y, z about the hips' middle, in the camera's axes, metres.
     people: list[np.ndarray]
     points: tuple[str, ...] | None  # names of the K points where the file gives them
     file: Path  # that it is in

@@ -61,25 +61,27 @@ class Detections:
 
     def at_frames(self, rows: np.ndarray) -> "Detections":
         """Those of some of the frames, by rows (T,); of -1 none: NaN, and confidences of 0."""
-        chosen = self._changed(lambda part, missing: _rows(part, rows, missing))
-        return replace(chosen, numbers=np.arange(len(rows)))
+        return self._taken(np.arange(len(rows)), lambda part, none: _rows(part, rows, none))
 
     def of_people(self, people: np.ndarray) -> "Detections":
         """One person of each frame, by numbers (F,); of -1 nobody."""
         frames = np.arange(len(people))
         rows = np.where(people >= 0, frames, -1)
-        return self._changed(
-            lambda part, missing: _rows(part[frames, people][:, None], rows, missing)
+        return self._taken(
+            self.numbers, lambda part, none: _rows(part[frames, people][:, None], rows, none)
         )
 
-    def _changed(self, change: Callable[[np.ndarray, float], np.ndarray]) -> "Detections":
-        """With each array as a function of it, and of what stands for a missing point, has it."""
+    def _taken(
+        self, numbers: np.ndarray, take: Callable[[np.ndarray, float], np.ndarray]
+    ) -> "Detections":
+        """With what a function takes of each array; it is told what stands for a missing point."""
         joints = self.joints_cam
         return replace(
             self,
-            pixels_xy=change(self.pixels_xy, np.nan),
-            confidences=change(self.confidences, 0.0),
-            joints_cam=None if joints is None else change(joints, np.nan),
+            numbers=numbers,
+            pixels_xy=take(self.pixels_xy, np.nan),
+            confidences=take(self.confidences, 0.0),
+            joints_cam=None if joints is None else take(joints, np.nan),
         )
 
 
