@@ -55,15 +55,19 @@ class PassResult:
     # F times (C, S, S) int8, ``PHI_STEPS`` to a cell, positive within the person.
     level_sets: list[np.ndarray] = field(default_factory=list)
     milliseconds: list[float] = field(default_factory=list)  # F that the frames took
+    is_expected: list[bool] = field(default_factory=list)  # F, whether key points had the person
 
     @property
     def is_anybody_visible(self) -> bool:
         """Whether any camera counted in any frame."""
         return any(report.used.any() for report in self.reports)
 
-    def add(self, time: float, state: State, report: StepReport, milliseconds: float) -> None:
+    def add(
+        self, frame: FrameBundle, state: State, report: StepReport, milliseconds: float
+    ) -> None:
         """One more frame."""
-        self.times.append(time)
+        self.times.append(frame.time)
+        self.is_expected.append(frame.expected is not None)
         pose = jax.tree.map(np.asarray, state.pose)
         self.estimates.append(PoseEstimate(pose, state.velocity))
         revised = report.revised
@@ -88,11 +92,19 @@ class PassResult:
             np.stack([report.slope for report in self.reports]),
             np.array([report.spread for report in self.reports], float),
             np.array([report.used.sum() for report in self.reports]),
+            self._pose_deviations(constants, how.pose_deviation),
         )
         skeleton, rest, morph = (
             self.body.shape.skeleton, constants.rest_deviations, constants.finder.morph,
         )  # fmt: skip
         return smoothed_poses(skeleton, np.array(self.times), information, rest, how, morph)
+
+    def _pose_deviations(self, constants: TrackerConstants, usual: float) -> np.ndarray:
+        """(F, 6 + D) of poses about the estimated ones; one camera's places are its key points'."""
+        deviations = np.full((len(self.times), len(self.reports[0].slope)), usual)
+        if len(constants.cameras.size) == 1:
+            deviations[np.array(self.is_expected), :3] = constants.settings.expected_place
+        return deviations
 
 
 class PassLearner:
@@ -186,7 +198,7 @@ def run_pass(
         began = perf_counter()
         before = None if earlier is None else earlier[number]
         state, _, report = tracker.step(state, *frame[:3], before, frame.expected)
-        result.add(frame.time, state, report, 1e3 * (perf_counter() - began))
+        result.add(frame, state, report, 1e3 * (perf_counter() - began))
         cameras = dict(_camera_frames(tracker, state, report, frame.images))
         if learner is not None:
             learner.add_frame(state, report, cameras)

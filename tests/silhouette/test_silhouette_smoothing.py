@@ -53,7 +53,8 @@ def information_of(poses: Pose, sureness: np.ndarray | float) -> FrameInformatio
 def frames_of(poses: Pose, information: np.ndarray, slope: np.ndarray) -> FrameInformation:
     """By four cameras whose pairs scatter by a centimetre."""
     count = len(slope)
-    return FrameInformation(poses, information, slope, np.full(count, SPREAD), np.full(count, 4))
+    spread, cameras = np.full(count, SPREAD), np.full(count, 4)
+    return FrameInformation(poses, information, slope, spread, cameras, np.full(slope.shape, 0.1))
 
 
 def smooth(
