@@ -107,34 +107,13 @@ def poses_of_lines(
     lines = jax.tree.map(lambda part: np.asarray(part, skeleton.lengths.dtype), lines)
     counted = (np.asarray(lines.confidences) > 0).sum((1, 2)) >= LEAST_LINES
     rows = np.flatnonzero(counted)
-    # One detector takes left for right now and then, and a person for one who faces away; two
-    # cameras' seldom do so at once.
-    both = [lines, sides_swapped(lines)][: 2 if lines.confidences.shape[1] == 1 else 1]
-    call, minima = partial(_minima, settings.terms, model), []
-    for each in both:
-        some = jax.tree.map(lambda part: part[rows], measurements(each))
-        minima.append(in_batches(call, (some,), FRAMES_A_CALL))
-    minima[-1][3] += SWAPPED * (len(both) - 1)
-    *parts, costs, points = (np.concatenate(part, 1) for part in zip(*minima, strict=True))
-    flat, speed = points.reshape(*costs.shape, -1), SPEED * np.sqrt(len(LANDMARKS) / INDEPENDENT)
-    chosen = cheapest_path(np.where(np.isfinite(costs), costs, 1e9), flat, times[rows], speed)
-    is_swapped = np.zeros(len(times), bool)
-    is_swapped[rows] = chosen >= MINIMA
-    lines = SightLines(
-        *(
-            np.where(is_swapped.reshape(-1, *[1] * (a.ndim - 1)), b, a)
-            for a, b in zip(lines, both[-1], strict=True)
-        )
-    )
-    measured = measurements(lines)
-    found = Pose(*(part[np.arange(len(rows)), chosen] for part in parts))
-    costs = costs[np.arange(len(rows)), chosen]
+    found, costs, lines = _cheapest_poses(settings, model, times, lines, rows)
     nearest = np.abs(rows[None] - np.arange(len(times))[:, None]).argmin(1)
     start = jax.tree.map(lambda part: part[nearest].astype(model.dtype), found)
     if len(times) <= REACH:
         return KeypointPoses(start, costs[nearest], skeleton, lines)
     weighted = replace(settings, proportions=settings.proportions * len(times))
-    problem = SmoothingProblem(model, weighted, times, measured, Views.no_cameras())
+    problem = SmoothingProblem(model, weighted, times, measurements(lines), Views.no_cameras())
     prior = smoothness(times, np.full(3 * len(LANDMARKS), float(settings.acceleration)))
 
     def solve(problem: SmoothingProblem, begun: Trajectory) -> Solution:
@@ -148,6 +127,49 @@ def poses_of_lines(
     solved = solve(problem.with_measured(sight_lines=lines), solved.x)
     person = solved.x.person(skeleton)
     return KeypointPoses(solved.x.poses, np.asarray(solved.linear.cost), person, lines)
+
+
+def _cheapest_poses(
+    settings: KeypointPoseSettings,
+    model: Model,
+    times: np.ndarray,
+    lines: SightLines,
+    rows: np.ndarray,
+) -> tuple[Pose, np.ndarray, SightLines]:
+    """Those of some of the frames' minima that make up the cheapest path.
+
+    A detector takes left for right now and then, so that the person seems to face the other way:
+    with one camera each frame's minima are also found with its sides swapped.
+
+    Args:
+        settings: of the terms.
+        model: of the person.
+        times: (T,) seconds.
+        lines: (T, ...).
+        rows: (R,) frames that have enough of them.
+
+    Returns:
+        Poses (R, ...), their costs (R,), and the lines (T, ...) with sides swapped where they were.
+    """
+    tried = [lines] if lines.confidences.shape[1] > 1 else [lines, sides_swapped(lines)]
+    call, minima = partial(_minima, settings.terms, model), []
+    for number, each in enumerate(tried):
+        some = jax.tree.map(lambda part: part[rows], measurements(each))
+        *parts, costs, points = in_batches(call, (some,), FRAMES_A_CALL)
+        minima.append((*parts, costs + number * SWAPPED, points))
+    *parts, costs, points = (np.concatenate(each, 1) for each in zip(*minima, strict=True))
+    flat, speed = points.reshape(*costs.shape, -1), SPEED * np.sqrt(len(LANDMARKS) / INDEPENDENT)
+    chosen = cheapest_path(np.where(np.isfinite(costs), costs, 1e9), flat, times[rows], speed)
+    own = np.arange(len(rows))
+    swapped = rows[chosen >= MINIMA]
+
+    def with_swapped(part: np.ndarray, other: np.ndarray) -> np.ndarray:
+        part = np.array(part)
+        part[swapped] = other[swapped]
+        return part
+
+    lines = jax.tree.map(with_swapped, tried[0], tried[-1])
+    return Pose(*(part[own, chosen] for part in parts)), costs[own, chosen], lines
 
 
 def sides_swapped(lines: SightLines) -> SightLines:
