@@ -3,10 +3,11 @@
 The real recording by each of its cameras, rendered exercises by the first two of theirs, and
 rendered squats: nothing but the video, MediaPipe's key points, the calibration, and of rendered
 people the stature. Errors of shoulders, elbows, wrists, hips, knees and ankles: in the world, and
-with the hips' middles laid over one another. Beside them those of MediaPipe's own joints, which are
-in metres about the hips, in no world: laid over the truth's hips and turned by the true camera,
-which nobody has; and of its elbows where each frame's joints are moved, turned and scaled to lie
-nearest to the true ones. ``--detector-only`` leaves our own out.
+with the hips' middles laid over one another; how many coordinates lie within their 90 % intervals.
+Beside them those of MediaPipe's own joints, which are in metres about the hips, in no world: laid
+over the truth's hips and turned by the true camera, which nobody has; and of its elbows where each
+frame's joints are moved, turned and scaled to lie nearest to the true ones. ``--detector-only``
+leaves our own out.
 
 INPUTS: the folder of recordings; an environment with ``mediapipe``.
 OUTPUTS: a table; Metrics as JSON.
@@ -24,7 +25,9 @@ from bench import add_rendered, command, kept
 from bench.clips import AZIMUTHS, Clip, exercises, real, synthetic
 from bench.figures import Metric, table, write_json
 from bench.rival_detector import joints_found
+from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.capture.video import open_video
+from jaxmocap.evaluation.errors import interval_coverage
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -76,14 +79,19 @@ def ours(
         none = recording.positions_world[:, :0]
         alone = replace(recording, videos=(source,), places=(), positions_world=none)
         detector = mediapipe_detector(options.detector_python)
-        (found,) = detect_keypoints(alone, detector, Path(folder))
-        seen = replace(alone, videos=(replace(source, keypoints=found.file),))
+        (detected,) = detect_keypoints(alone, detector, Path(folder))
+        seen = replace(alone, videos=(replace(source, keypoints=detected.file),))
         motion = track_silhouettes(seen, passes=options.passes).motion
     joints, truth = motion.joints(), _truth(clip, motion.times)
-    off = errors(np.stack([joints[each] for each in NUMBERS], 1), truth)
+    found = np.stack([joints[each] for each in NUMBERS], 1)
+    off = errors(found, truth)
     yield Metric(f"{name}, world", off[0], "cm")
     yield Metric(f"{name}, about the hips", off[1], "cm")
     assert motion.report is not None
+    deviations = np.asarray(motion.report.landmarks_std)[:, landmark_rows(NUMBERS)]
+    held = interval_coverage(truth, found, deviations)
+    share = np.average(held.share, weights=held.samples)
+    yield Metric(f"{name}, 90 % intervals hold", 100 * float(share), "%", "higher")
     lost = [any(s.startswith(LOST) for s in each) for each in motion.report.statuses]
     yield Metric(f"{name}, lost frames", 100 * float(np.mean(lost)), "%")
 
@@ -150,7 +158,7 @@ def main() -> None:
     add("--detector-python", required=True, help="of an environment with MediaPipe")
     add("--only", default=",".join(KINDS), help=f"default: %(default)s; also {DETECTED}")
     add("--detector-only", action="store_true", help="MediaPipe's own joints alone")
-    add("--passes", type=int, default=3, help="default: %(default)s")
+    add("--passes", type=int, help="default: those of ``silhouette track``")
     add("--cameras", type=int, default=2, help="of each rendered exercise; default: %(default)s")
     add("--squat-seconds", type=float, default=6.0, help="of rendered squats; default: 6")
     add_rendered(parser)

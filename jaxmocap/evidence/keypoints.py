@@ -126,6 +126,9 @@ class KeyPoints(Term):
     deviation: Array = traced(
         0.02, "of a point of full confidence about its landmark, metres at the person"
     )
+    redundancy: Array = traced(
+        10.0, "of frames: so many have the same error; for the deviations only"
+    )
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(C, L, 3); none where no camera comes with key points."""

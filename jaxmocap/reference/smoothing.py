@@ -91,7 +91,6 @@ def frame_values(problem: Problem, x: np.ndarray, t: int) -> np.ndarray:
         "balance": (centre_of_gravity(skeleton, frames)[:2] - base[:2], settings.balance.deviation),
         "elbows": (elbows - measured["elbows"], settings.elbows.deviation),
         "keypoints": (off_lines(problem, points, t), 1.0),
-        "depths": (off_depths(problem, at, points, t), 1.0),
     }
     residuals = []
     for name, (off, deviation) in terms.items():
@@ -142,20 +141,6 @@ def off_lines(problem: Problem, points: np.ndarray, t: int) -> np.ndarray:
         across = np.cross(ways, points - origin) * sure[:, None] / deviation
         ratio = np.sum(across**2, 1, keepdims=True) / TAILS
         off.append(across * np.sqrt(np.log1p(ratio) / np.where(ratio > 0, ratio, 1)))
-    return np.array(off)
-
-
-def off_depths(
-    problem: Problem, at: dict[str, np.ndarray], points: np.ndarray, t: int
-) -> np.ndarray:
-    """Of landmarks (L, 3) from how far beyond the hips' middle each camera's detector has them."""
-    lines, off = problem.measured["sight_lines"], []
-    hips = (at["hip_l"] + at["hip_r"]) / 2
-    for origin, _, sure, depths in zip(*(np.asarray(p, float)[t] for p in lines), strict=True):
-        way = (hips - origin) / np.linalg.norm(hips - origin)
-        beyond = ((points - hips) @ way - depths) / float(problem.settings.depths.deviation)
-        ratio = np.where(sure > 0, beyond, 0) ** 2 / TAILS
-        off.append(beyond * np.sqrt(np.log1p(ratio) / np.where(ratio > 0, ratio, 1)))
     return np.array(off)
 
 

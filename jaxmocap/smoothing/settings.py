@@ -13,7 +13,7 @@ from jaxmocap.compilation.arrays import Numbers, namespace
 from jaxmocap.compilation.settings import group, settings, static, traced
 from jaxmocap.evidence.balance import Balance
 from jaxmocap.evidence.ground import AnkleRange, Ground
-from jaxmocap.evidence.keypoints import EstimatedDepths, KeyPoints
+from jaxmocap.evidence.keypoints import KeyPoints
 from jaxmocap.evidence.limits import JointLimits
 from jaxmocap.evidence.markers import ElbowGoals, MarkerPositions
 from jaxmocap.evidence.posture import Pelvis, RelaxedPosture, UsualPlaces
@@ -64,7 +64,6 @@ class SmoothingSettings:
     )
     elbows: ElbowGoals = group(ElbowGoals, "of elbows where the path through time has them")
     keypoints: KeyPoints = group(KeyPoints, "of 2-D key points")
-    depths: EstimatedDepths = group(EstimatedDepths, "of depths that a detector estimates")
     silhouettes: Silhouettes = group(Silhouettes, "of what cameras show, view by view")
     usual: UsualPlaces = group(
         lambda: UsualPlaces(spread=0.55),  # type: ignore[arg-type]

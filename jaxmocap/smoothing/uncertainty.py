@@ -97,8 +97,13 @@ def counted_once(problem: SmoothingProblem) -> SmoothingSettings:
     """Settings with errors that are alike counted once: of cells, and of what is usual."""
     silhouettes = problem.settings.silhouettes
     cells = np.asarray(silhouettes.deviation) * np.sqrt(np.asarray(silhouettes.redundancy))
-    lasting = lasting_errors(problem)
-    return replace(lasting, silhouettes=replace(silhouettes, deviation=cells))
+    keypoints = problem.settings.keypoints
+    lines = np.asarray(keypoints.deviation) * np.sqrt(np.asarray(keypoints.redundancy))
+    return replace(
+        lasting_errors(problem),
+        silhouettes=replace(silhouettes, deviation=cells),
+        keypoints=replace(keypoints, deviation=lines),
+    )
 
 
 def lasting_errors(problem: SmoothingProblem) -> SmoothingSettings:

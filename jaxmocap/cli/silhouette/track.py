@@ -43,9 +43,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         dest="passes",
         action="store_const",
         const=1,
-        default=3,
-        help="one pass, which learns the rooms from its frames so far, and no girths; "
-        "default: two passes learn both",
+        help="one pass, which learns the rooms from its frames so far, and no girths; default: two "
+        "passes learn both, but not by one camera with key points, where that helps little",
     )
     passes.add_argument(
         "--lengths",

@@ -128,7 +128,7 @@ def track_silhouettes(
     start: Pose | None = None,
     settings: Settings | None = None,
     *,
-    passes: int = 3,
+    passes: int | None = None,
     markers: bool = False,
     surface: Surface | None = None,
     lengths: bool = False,
@@ -144,7 +144,8 @@ def track_silhouettes(
         settings: of the tracker.
         passes: in 1 the backgrounds are what its frames so far showed, and the shape is generic;
             2 learn both first; 3 once more, the shape with the learned backgrounds. Limbs that
-            explain more where the pass before found them are taken from it.
+            explain more where the pass before found them are taken from it. None is 3; or 1 by
+            one camera with key points, where more find no better poses.
         markers: follow them too; without it they are ignored.
         surface: of the person's own model, around the recording's skeleton; without it a generic
             one, whose shape the passes correct.
@@ -162,6 +163,8 @@ def track_silhouettes(
     settings = settings or Settings()
     recording, footage, warnings = _open(recording, settings, markers, start, surface)
     guide = footage.guide
+    if passes is None:
+        passes = 1 if guide is not None and len(recording.videos) == 1 else 3
     tracker = make_silhouette_tracker(recording, settings, markers, surface)
     if start is None:
         if guide is None:
