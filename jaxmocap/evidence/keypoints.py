@@ -127,7 +127,7 @@ class KeyPoints(Term):
         0.02, "of a point of full confidence about its landmark, metres at the person"
     )
     redundancy: Array = traced(
-        10.0, "of frames: so many have the same error; for the deviations only"
+        40.0, "of frames: so many have the same error; for the deviations only"
     )
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:

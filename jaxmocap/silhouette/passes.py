@@ -92,19 +92,17 @@ class PassResult:
             np.stack([report.slope for report in self.reports]),
             np.array([report.spread for report in self.reports], float),
             np.array([report.used.sum() for report in self.reports]),
-            self._pose_deviations(constants, how.pose_deviation),
+            self._place_deviations(constants),
         )
         skeleton, rest, morph = (
             self.body.shape.skeleton, constants.rest_deviations, constants.finder.morph,
         )  # fmt: skip
         return smoothed_poses(skeleton, np.array(self.times), information, rest, how, morph)
 
-    def _pose_deviations(self, constants: TrackerConstants, usual: float) -> np.ndarray:
-        """(F, 6 + D) of poses about the estimated ones; one camera's places are its key points'."""
-        deviations = np.full((len(self.times), len(self.reports[0].slope)), usual)
-        if len(constants.cameras.size) == 1:
-            deviations[np.array(self.is_expected), :3] = constants.settings.expected_place
-        return deviations
+    def _place_deviations(self, constants: TrackerConstants) -> np.ndarray:
+        """(F,) of the pelvis about its estimated place: one camera's is as key points have it."""
+        by_points = np.array(self.is_expected) & (len(constants.cameras.size) == 1)
+        return np.where(by_points, constants.settings.expected_place, np.inf)
 
 
 class PassLearner:

@@ -88,9 +88,9 @@ class FrameInformation(NamedTuple):
     slope: np.ndarray  # (T, 6 + D) likewise
     spread: np.ndarray  # (T,) standard deviation of the pairs, metres
     cameras: np.ndarray  # (T,) how many counted
-    # (T, 6 + D) of a pose about the estimated one, metres and radians: farther off the pairs would
-    # be others.
-    pose_deviations: np.ndarray
+    # (T,) of the pelvis' place about the estimated one where key points have it, metres; infinite
+    # elsewhere.
+    place_deviations: np.ndarray
 
 
 class PoseSmoothingSettings(NamedTuple):
@@ -104,7 +104,7 @@ class PoseSmoothingSettings(NamedTuple):
     own_share: float = 0.5
     least_acceleration: float = 0.1  # of it all the same, m / s^2 * sqrt(s)
     rounds: int = 3  # times that accelerations are estimated
-    # Of a pose about the estimated one where nothing else has its place, metres and radians.
+    # Of a pose about the estimated one, metres and radians: farther off the pairs would be others.
     pose_deviation: float = 0.1
 
 
@@ -124,7 +124,7 @@ def smoothed_poses(
     """
     if len(times) <= REACH:
         return information.poses, np.full((len(times), len(LANDMARKS), 3), np.nan)
-    problem = _problem(skeleton, times, information, (rest, morph))
+    problem = _problem(skeleton, times, information, (rest, morph), settings.pose_deviation)
     no_lengths = np.zeros(0, skeleton.lengths.dtype)
 
     def smoothly(poses: Pose, accelerations: np.ndarray) -> Pose:
@@ -165,13 +165,15 @@ def _problem(
     times: np.ndarray,
     information: FrameInformation,
     at_rest: tuple[np.ndarray, Morph | None],
+    pose_deviation: float,
 ) -> SmoothingProblem:
     """What the frames estimated, as a problem of two terms."""
     dtype, (rest, morph) = skeleton.lengths.dtype, at_rest
     slope = information.slope.astype(float)
     H = positive(information.information.astype(float))
-    near = np.eye(slope.shape[-1]) / information.pose_deviations[:, None] ** 2
-    factors = np.linalg.cholesky(H + near)
+    near = np.full(slope.shape, pose_deviation)
+    near[:, :3] = np.minimum(near[:, :3], information.place_deviations[:, None])
+    factors = np.linalg.cholesky(H + np.eye(slope.shape[-1]) / near[:, None] ** 2)
     offsets = np.linalg.solve(factors, slope[..., None])[..., 0]
     roots = factors.swapaxes(1, 2)
     estimate = EstimatedPose(information.poses, roots, offsets)

@@ -39,7 +39,7 @@ from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
 from jaxmocap.evidence.expansion import expanded, linearised, linearised_term
 from jaxmocap.evidence.ground import FeetOnFloor, KneesOverFeet
-from jaxmocap.evidence.keypoints import lines_of_sight
+from jaxmocap.evidence.keypoints import EstimatedDepths, lines_of_sight
 from jaxmocap.evidence.markers import Goals, MarkerPositions, PointGoals, SearchedElbows
 from jaxmocap.evidence.posture import (
     USUAL_ROWS,
@@ -81,8 +81,7 @@ def frame(kind: str):
     if kind == "lines of sight":
         pixels = np.asarray(project(CAMERAS[0], jnp.asarray(points_of(truth(COUNT)))))
         names, sure = LANDMARKS, np.full(pixels.shape[:2], 0.9)
-        depths = np.random.default_rng(5).normal(0, 0.2, sure.shape)
-        there["sight_lines"] = lines_of_sight(CAMERAS[0], names, pixels, sure, depths)
+        there["sight_lines"] = lines_of_sight(CAMERAS[0], names, pixels, sure)
     pose, one = jax.tree.map(lambda part: on_device(part[1]), (truth(COUNT), there))
     step = 0.1 * np.random.default_rng(3).standard_normal(ROOT_DOF + pose.angles.size)
     return retract(pose, on_device(step)), one
@@ -152,7 +151,9 @@ def another_moment() -> dict[str, Any]:
     pose = Pose(*(part[1] for part in truth(COUNT)))
     points, dofs = points_of(truth(COUNT)), ROOT_DOF + pose.angles.size
     pixels = np.asarray(project(CAMERAS[0], jnp.asarray(points)))
-    lines = lines_of_sight(CAMERAS[0], LANDMARKS, pixels, np.full(points.shape[:2], 0.9))
+    sure = np.full(points.shape[:2], 0.9)
+    depths = np.linspace(-0.4, 0.4, sure.size).reshape(sure.shape)
+    lines = lines_of_sight(CAMERAS[0], LANDMARKS, pixels, sure, depths)
     measured = {name: part[1] for name, part in measurements(COUNT).items()}
     targets = np.concatenate([measured["markers"], measured["ankles"]])
     return {
@@ -170,7 +171,7 @@ def another_moment() -> dict[str, Any]:
     }
 
 
-MORE = SearchedElbows(), NearEstimate(), EasyPosture(), EdgeEvidence()
+MORE = SearchedElbows(), NearEstimate(), EasyPosture(), EdgeEvidence(), EstimatedDepths()
 MORE += FeetOnFloor(), MostlyRelaxedPosture(), KneesOverFeet()
 ALL = (*SETTINGS.terms, *GradientSettings().terms, *MORE)
 AREA = Chamfer(drawn=False)

@@ -54,7 +54,7 @@ def frames_of(poses: Pose, information: np.ndarray, slope: np.ndarray) -> FrameI
     """By four cameras whose pairs scatter by a centimetre."""
     count = len(slope)
     spread, cameras = np.full(count, SPREAD), np.full(count, 4)
-    return FrameInformation(poses, information, slope, spread, cameras, np.full(slope.shape, 0.1))
+    return FrameInformation(poses, information, slope, spread, cameras, np.full(count, np.inf))
 
 
 def smooth(
@@ -182,6 +182,28 @@ def test_fewer_cameras_are_less_sure(skeleton):
         for each in (four, two)
     ]
     assert (stated[1] > 1.15 * stated[0]).all()
+
+
+def test_one_camera_is_less_sure_of_arms(skeleton):
+    """How far off they are."""
+    frames = information_of(swinging(skeleton), 1e9)._replace(cameras=np.full(FRAMES, 1))
+    _, one = smoothed_poses(skeleton, TIMES, frames, free(skeleton), PoseSmoothingSettings())
+    pelvis, elbow, wrist, knee = (
+        one[:, LANDMARKS.index(name)] for name in ("pelvis", "elbow_l", "wrist_r", "knee_l")
+    )
+    for part, times in ((elbow, 1.4), (wrist, 1.5), (knee, 1.2)):
+        np.testing.assert_allclose(part, times * pelvis, rtol=1e-2)
+
+
+def test_pairs_do_not_draw_the_pelvis_from_where_key_points_have_it(skeleton):
+    """As they do without them: a body that is too wide seems nearer."""
+    truth = swinging(skeleton)
+    slope = np.zeros((FRAMES, 6 + truth.angles.shape[1]))
+    slope[:, 1] = 1e3 * 0.05
+    drawn = information_of(truth, 1e3)._replace(slope=slope)
+    held = drawn._replace(place_deviations=np.full(FRAMES, 0.01))
+    off = [np.abs(smooth(skeleton, each).position - truth.position)[:, 1] for each in (drawn, held)]
+    assert off[0].mean() > 0.03 and off[1].mean() < 0.01
 
 
 def test_no_joint_leaves_its_range(skeleton):

@@ -1,5 +1,6 @@
 """About a second of a motion, smoothed, against all residuals stacked and solved densely."""
 
+from dataclasses import replace
 from functools import cache
 
 import jax
@@ -60,15 +61,13 @@ def problem() -> reference.Problem:
     sure = rng.uniform(0.2, 1, ways.shape[:-1])
     sure[:, :, ::3] = 0.0
     ways[:, :, ::3] = np.nan
-    depths = rng.normal(0, 0.2, sure.shape)
-    depths[:, :, 1::4] = np.nan
     measured = {
         "markers": markers,
         "upright": np.zeros((len(TIMES), 2)),
         "facing": np.tile([1.0, 0.0, 0.0], (len(TIMES), 1)),
         "ankles": points[:, [LANDMARKS.index(f"ankle_{side}") for side in "lr"]],
         "elbows": elbows,
-        "sight_lines": SightLines(origin, ways, sure, depths),
+        "sight_lines": SightLines(origin, ways, sure, np.full_like(sure, np.nan)),
     }
     start = Pose(*(np.stack(part) for part in zip(*poses, strict=True)))
     start = start._replace(angles=start.angles + 0.02 * rng.normal(size=start.angles.shape))
@@ -127,6 +126,9 @@ def test_a_recordings_minimum_and_its_deviations_are_the_dense_ones():
     assert ended.cost == pytest.approx(np.sum(reference.residuals(dense, expected) ** 2), rel=1e-9)
     np.testing.assert_allclose(points_of(there, still), points_of(dense, expected), atol=1e-6)
     np.testing.assert_allclose(actual.proportions, expected[-dense.shared :], atol=1e-6)
-    lasting = float(SETTINGS.persistence) * LASTING_HZ
-    sure = reference.deviations(there._replace(persistence=lasting), still)
+    # Of habits that last, and of key points whose errors are alike, many count once.
+    lasting, keypoints = float(SETTINGS.persistence) * LASTING_HZ, SETTINGS.keypoints
+    lines = np.sqrt(keypoints.redundancy) * keypoints.deviation
+    once = replace(SETTINGS, keypoints=replace(keypoints, deviation=lines))
+    sure = reference.deviations(there._replace(persistence=lasting, settings=once), still)
     np.testing.assert_allclose(actual.deviations, sure, rtol=1e-4)
