@@ -169,7 +169,8 @@ def _cheapest_poses(
         return part
 
     lines = jax.tree.map(with_swapped, tried[0], tried[-1])
-    return Pose(*(part[own, chosen] for part in parts)), costs[own, chosen], lines
+    poses = Pose(*(part[own, chosen] for part in parts))  # type: ignore[arg-type]
+    return poses, costs[own, chosen], lines
 
 
 def sides_swapped(lines: SightLines) -> SightLines:
