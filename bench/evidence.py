@@ -47,11 +47,12 @@ from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.background_model import Background, exposure, regained, spread
 from jaxmocap.images.foreground import shrink
 from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.keypoints.lines import lines_at_events
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned
 from jaxmocap.pipelines.tracking.motions import Tracked, motions, unsmoothed
-from jaxmocap.pipelines.tracking.track import lines_at_events, track
+from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.smoothing.batch import CameraFrames, smooth_recording
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
 

@@ -45,6 +45,13 @@ class SightLines(NamedTuple):
     # it; NaN where it does not say.
     depths: Array | np.ndarray
 
+    @classmethod
+    def none(cls, cameras: int) -> "SightLines":
+        """Of so many cameras that see nothing."""
+        flat = np.zeros((cameras, len(LANDMARKS)), np.float32)
+        unknown = np.full((cameras, len(LANDMARKS), 3), np.nan, np.float32)
+        return cls(np.zeros((cameras, 3), np.float32), unknown, flat, np.full_like(flat, np.nan))
+
 
 def lines_of_sight(
     camera: Camera,

@@ -83,7 +83,10 @@ def elbow_goals(problem: SmoothingProblem, trajectory: Trajectory) -> np.ndarray
         there = rows_of(trajectory.poses, frames)
         call = partial(_elbows, problem.model, path_settings)
         elbows, own = in_batches(call, (there,), VIEWS_A_CALL, workers)
-        own += _off_lines(problem, frames, elbows)
+        if "sight_lines" in problem.measured:
+            lines = rows_of(problem.measured["sight_lines"], frames)
+            deviation = problem.settings.keypoints.deviation
+            own += np.asarray(price_off_lines(on_device(elbows), lines, deviation))
         price = partial(_pictures, *coarsely(problem, SOFTNESS), trajectory, workers)
         alone = own + own[:, ::-1, STAY, None] + price(_lone_costs)
         paths = [
@@ -100,18 +103,21 @@ def elbow_goals(problem: SmoothingProblem, trajectory: Trajectory) -> np.ndarray
     return goals
 
 
-def _off_lines(
-    problem: SmoothingProblem, frames: np.ndarray, elbows: np.ndarray
-) -> np.ndarray | float:
-    """Price (S, 2, K) of candidates (S, 2, K, 3) that lie off the lines of key points, nats."""
-    if "sight_lines" not in problem.measured:
-        return 0.0
-    lines = rows_of(problem.measured["sight_lines"], frames)
-    of_elbows = (part[:, None, :, ELBOWS] for part in lines[1:])
-    lines = SightLines(lines.origin[:, None], *of_elbows)
-    places = on_device(elbows.swapaxes(1, 2))
-    off = line_residuals(places, lines, problem.settings.keypoints.deviation)
-    return np.asarray(jnp.sum(off**2, (-3, -1)) / 2).swapaxes(1, 2)
+def price_off_lines(elbows: Array, lines: SightLines, deviation: Array) -> Array:
+    """Price (..., 2, K) of candidates (..., 2, K, 3) that lie off key points' lines, nats.
+
+    Args:
+        elbows: of both arms, world, metres.
+        lines: (..., C, L) to the landmarks.
+        deviation: of a point of full confidence, metres at the person.
+    """
+    of_elbows = SightLines(
+        jnp.expand_dims(lines.origin, -3),
+        jnp.expand_dims(jnp.asarray(lines.directions)[..., ELBOWS, :], -4),
+        *(jnp.expand_dims(jnp.asarray(part)[..., ELBOWS], -3) for part in lines[2:]),
+    )
+    off = line_residuals(jnp.swapaxes(elbows, -3, -2), of_elbows, deviation)
+    return jnp.swapaxes(jnp.sum(off**2, (-3, -1)) / 2, -1, -2)
 
 
 def cheapest_path(

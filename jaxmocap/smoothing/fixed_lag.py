@@ -32,6 +32,7 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearance
+from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.smoothing.facing import RunningFacing
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.window.advance import Advanced, advance
@@ -98,14 +99,16 @@ class SmoothedPose(NamedTuple):
 class FixedLagSmoother:
     """Smooths one person's poses, at most ``DELAY_FRAMES`` video frames behind the tracker."""
 
-    def __init__(self, model: Model, settings: SmoothingSettings):
+    def __init__(self, model: Model, settings: SmoothingSettings, keypoint_cameras: int = 0):
         """Prepare; nothing of the room is learned yet.
 
         Args:
             model: of the person, the markers and the cameras, of which there may be none.
             settings: of the smoothing.
+            keypoint_cameras: how many of the cameras have key points.
         """
         self.model, self.settings = model, settings
+        self._no_lines = SightLines.none(keypoint_cameras) if keypoint_cameras else None
         self._person = replace(model, cameras=None)
         self._advance = advance.after(model, settings)
         self._appearances = [
@@ -137,6 +140,7 @@ class FixedLagSmoother:
         markers_world: np.ndarray | Array,
         images: Images,
         report: StepReported | None,
+        lines: SightLines | None = None,
     ) -> list[SmoothedPose]:
         """One step of the tracker.
 
@@ -148,6 +152,7 @@ class FixedLagSmoother:
                 no new one.
             report: of the tracker's ``solve`` of these markers; not asked for where it
                 ``lies_between``.
+            lines: (K, ...) to the key points of the new images, of cameras that have any.
 
         Returns:
             What is final now: of no event, or of some, in order.
@@ -166,7 +171,7 @@ class FixedLagSmoother:
             final += self.flush()
         if np.isfinite(sample.markers_world).any():
             self._samples.append(sample)
-        self._waiting.append(ReportedStep(*sample, images, report))
+        self._waiting.append(ReportedStep(*sample, images, report, lines or self._no_lines))
         most = MOST_WAITING if self._is_seen else MOST_WAITING_UNSEEN
         if len(self._waiting) < most and not self._waiting[-1].has_image:
             return final
@@ -200,7 +205,7 @@ class FixedLagSmoother:
     def _gather(self) -> EventArrays:
         """The steps that wait, with the poses that are expected there and what cameras saw."""
         dtype, waiting, self._waiting = self.model.dtype, self._waiting, []
-        events, measured, since = self._events, [], []
+        events, measured, lines, since = self._events, [], [], []
         first = len(events)
         if waiting:
             alone = [np.concatenate(step.report.marker_pose).astype(dtype) for step in waiting]
@@ -216,10 +221,11 @@ class FixedLagSmoother:
                     "markers": markers, "upright": there.upright, "facing": facing.astype(dtype),
                     "ankles": there.ankles, "elbows": self._no_goals,
                 })  # fmt: skip
+                lines += [] if step.lines is None else [step.lines]
                 frames = self._frames(step.images, there.pose)
                 events.append(WindowEvent(step.number, step.time, markers, there.pose, frames))
             update_frames_markers(events, self._samples)
-        self._news = new_events(self.model, events[first:], measured, since, self._news)
+        self._news = new_events(self.model, events[first:], measured, lines, since, self._news)
         return self._news
 
     def _frames(self, images: Images, pose: Pose) -> list[WindowFrame]:

@@ -46,7 +46,8 @@ from jaxmocap.evidence.keypoints import (
 from jaxmocap.evidence.terms import posed_body, residuals
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.geometry.cameras import project
-from jaxmocap.pipelines.tracking.track import lines_at_events, track
+from jaxmocap.pipelines.keypoints.lines import lines_at_events
+from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.smoothing.batch import smooth_recording
 from jaxmocap.smoothing.elbow_viterbi import elbow_goals
 from jaxmocap.smoothing.linearise import SmoothedPoses, smooth_poses

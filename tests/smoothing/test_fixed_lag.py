@@ -4,6 +4,7 @@ from functools import cache, partial, wraps
 from itertools import pairwise
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import double, on_device
@@ -29,8 +30,11 @@ from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract, unpack
 from jaxmocap.body.proportions import PROPORTIONS
+from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
+from jaxmocap.evidence.keypoints import lines_of_sight
 from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes
+from jaxmocap.geometry.cameras import project
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
 from jaxmocap.smoothing.linearise import smooth_poses
@@ -408,6 +412,29 @@ def test_silhouettes_without_weight_change_nothing():
     )
     for own, expected in zip(lit, unlit, strict=True):
         np.testing.assert_array_equal(own, expected)
+
+
+def test_key_points_say_where_legs_and_elbows_are():
+    """One frame has none; the silhouettes have no weight."""
+    points, weights = points_of(truth(COUNT)), {"person": 0.0, "forearms": 0.0}
+    pixels = np.asarray(project(CAMERAS[0], jnp.asarray(points)), float)
+    lines = lines_of_sight(CAMERAS[0], LANDMARKS, pixels, np.full(pixels.shape[:2], 0.9))
+    elbows_and_knees = landmark_rows(("elbow_l", "elbow_r", "knee_l", "knee_r"))
+
+    def off_and_stated(cameras: int) -> tuple[float, float]:
+        smoother, final = smoother_of(weights), []
+        smoother = FixedLagSmoother(smoother.model, smoother.settings, cameras)
+        for i in range(COUNT):
+            own = at(lines, i) if cameras and i != 5 else None
+            final += smoother.step(TIMES[i], markers()[i], [images()[i]], report(i), own)
+        final += smoother.flush()
+        assert [each.number for each in final] == list(range(COUNT))
+        off = np.linalg.norm(points_of(poses_of(final)) - points, axis=-1)[8:, elbows_and_knees]
+        return off.mean(), np.linalg.norm(final[-1].deviations[elbows_and_knees], axis=-1).mean()
+
+    (without, unsure), (with_them, sure) = off_and_stated(0), off_and_stated(1)
+    assert with_them < 0.5 * without and sure < 0.8 * unsure
+    assert with_them < 1.5 * sure
 
 
 def test_a_body_that_is_placed_again_begins_a_new_motion():

@@ -17,14 +17,18 @@ from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.capture.footage import ForwardReader, cached_frames, forward_readers
+from jaxmocap.capture.timeline import Timeline
 from jaxmocap.compilation.arrays import on_device
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.appearance.learned import ROWS
+from jaxmocap.evidence.keypoints import SightLines
+from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.rows import GatheredRows
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.pipelines.keypoints.lines import lines_at_events
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents, open_recording, step_warnings
 from jaxmocap.smoothing.batch import measurements_of, silhouettes_of
@@ -72,8 +76,9 @@ def stepped(
     smoother: FixedLagSmoother | None,
     show: Progress,
     clock: Clock,
+    keypoints: Sequence[Detections | None] = (),
 ) -> tuple[FirstPass, list[SmoothedPose]]:
-    """Step through the events, one by one."""
+    """Step through the events, one by one; the smoother sees the videos' key points, if any."""
     if smoother is None:
         tracker.compile_ahead()
     state, line = tracker.init(events.markers_world[0]), events.timeline
@@ -93,7 +98,8 @@ def stepped(
         if smoother is not None:
             # Between the samples markers are extrapolated, which the smoother does better.
             there = markers if line.sample_index[event] >= 0 else np.nan * markers
-            final += own.timed("smooth", smoother.step, time, there, images, report)
+            lines = own.timed("lines", _lines_at, events, event, keypoints, report.marker_pose)
+            final += own.timed("smooth", smoother.step, time, there, images, report, lines)
         _keep_stages(clock, own, 1e3 * (perf_counter() - began), not event, images)
         steps.append((pose, report))
         about.append((*step_warnings(report), *events.image_warnings(event, images)))
@@ -110,6 +116,19 @@ def _first_pass(
     return FirstPass(
         line.event_times, events.markers_world, line.frame_index, poses, reports, about
     )
+
+
+def _lines_at(
+    events: RecordingEvents, event: int, keypoints: Sequence[Detections | None], pose: Pose
+) -> SightLines | None:
+    """(K, ...) of the cameras with key points; None where no frame comes."""
+    now, line = slice(event, event + 1), events.timeline
+    if not any(keypoints) or (line.frame_index[event] < 0).all():
+        return None
+    own = Timeline(line.event_times[now], line.sample_index[now], line.frame_index[now])
+    there = jax.tree.map(lambda part: part[None], pose)
+    lines = lines_at_events(events.recording, keypoints, own, there)
+    return jax.tree.map(lambda part: part[0], lines)
 
 
 def _images_at(frames: np.ndarray, readers: Sequence[ForwardReader]) -> list[np.ndarray | None]:

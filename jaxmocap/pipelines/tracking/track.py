@@ -8,28 +8,24 @@ Smoothing starts where the search has the elbows: from the markers' poses it end
 INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its Report.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from time import perf_counter
 
 import jax
 import numpy as np
 
-from jaxmocap.body.motion import Motion, landmarks_over_time
+from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.capture.filters import check_cutoff
 from jaxmocap.capture.footage import cached_frames, forward_readers
-from jaxmocap.capture.keypoints import marked_landmarks, select_person
-from jaxmocap.capture.timeline import Mode, Timeline
+from jaxmocap.capture.timeline import Mode
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.appearance.learned import ROWS
-from jaxmocap.evidence.keypoints import SightLines
-from jaxmocap.formats.recordings.keypoints import Detections
-from jaxmocap.formats.recordings.recording import Recording, VideoSource
+from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.settings import Settings, unused_setting
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.outputs.report import plain
-from jaxmocap.pipelines.keypoints.lines import lines_to_person
+from jaxmocap.pipelines.keypoints.lines import lines_at_events
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import Opened, RecordingEvents, open_recording
 from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
@@ -130,7 +126,8 @@ def track_both(
         check_cutoff(opened.recording, cutoff, "low_pass")
     smoother = None
     if smooth and causal:
-        smoother = FixedLagSmoother(tracker.model, tracker.settings.smoothing)
+        have_points = sum(each is not None for each in opened.keypoints)
+        smoother = FixedLagSmoother(tracker.model, tracker.settings.smoothing, have_points)
     by_markers: MarkedPass | None = None
     in_colour = forward_readers(used, colour=smoother is not None)
     with progress_bar("tracking", progress, "compiling") as show, in_colour as readers:
@@ -139,7 +136,9 @@ def track_both(
             tracker, first, final = by_markers.tracker, by_markers.first, []
             opened = opened._replace(recording=by_markers.recording(opened.recording))
         elif causal:
-            first, final = stepped(events, tracker, readers, smoother, show, clock)
+            first, final = stepped(
+                events, tracker, readers, smoother, show, clock, opened.keypoints
+            )
         else:
             first, final = scanned(events, tracker, readers, show, clock), []
     trajectory, passed = gathered(final) if smoother else None, perf_counter()
@@ -215,50 +214,3 @@ def _low_passed(
     for part, new in zip(poses, filtered, strict=True):
         part[rows] = new
     return poses
-
-
-def lines_at_events(
-    recording: Recording,
-    keypoints: Sequence[Detections | None],
-    timeline: Timeline,
-    marker_poses: Pose,
-) -> SightLines | None:
-    """Lines of sight of the cameras with key points to the tracked person's landmarks.
-
-    Args:
-        recording: that the videos are of.
-        keypoints: of each video.
-        timeline: E events.
-        marker_poses: (E, ...) of the markers alone, which separate the person from others.
-
-    Returns:
-        (E, ...) of all these cameras; None where there is none.
-    """
-    points_world = landmarks_over_time(recording.skeleton, marker_poses)
-    lines = [
-        _lines(recording, source, each, timeline, frames, points_world)
-        for source, each, frames in zip(
-            recording.videos, keypoints, timeline.frame_index.T, strict=True
-        )
-        if each is not None
-    ]
-    return jax.tree.map(lambda *parts: np.concatenate(parts, 1), *lines) if lines else None
-
-
-def _lines(
-    recording: Recording,
-    source: VideoSource,
-    keypoints: Detections,
-    timeline: Timeline,
-    frames: np.ndarray,
-    points_world: np.ndarray,
-) -> SightLines:
-    """One camera's lines (E, 1, ...), of its frames (E,) or -1."""
-    names = keypoints.landmarks
-    marked = marked_landmarks(recording, names, timeline.event_times)
-    # Markers identify a person better than a pose, where they sit on enough of the landmarks.
-    enough = np.isfinite(marked).all(-1).sum(1) >= 2
-    expected = np.where(enough[:, None, None], marked, points_world[:, landmark_rows(names)])
-    expected[frames < 0] = np.nan
-    person = select_person(keypoints.at_frames(frames), source.camera, expected)
-    return lines_to_person(recording.skeleton, source.camera, person)

@@ -16,9 +16,16 @@ from jax import Array
 from jaxmocap.body.arms import TURNS, arm_dofs, hang
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, pack, unpack
+from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.smoothing.elbow_viterbi import STAY, candidates, lone_costs, turned_angles
+from jaxmocap.smoothing.elbow_viterbi import (
+    STAY,
+    candidates,
+    lone_costs,
+    price_off_lines,
+    turned_angles,
+)
 from jaxmocap.smoothing.settings import SmoothingSettings
 
 # Cells over which silhouettes fade, where there are half as many to a side.
@@ -41,7 +48,12 @@ class ArmSearch(NamedTuple):
 
 
 def search_arms(
-    model: Model, settings: SmoothingSettings, pose: Pose, shown: Array, grids: SilhouetteGrids
+    model: Model,
+    settings: SmoothingSettings,
+    pose: Pose,
+    shown: Array,
+    grids: SilhouetteGrids,
+    lines: SightLines | None,
 ) -> ArmSearch:
     """All candidates of either arm, by the frames of an event.
 
@@ -51,6 +63,7 @@ def search_arms(
         pose: of the event.
         shown: (C,) which cameras had a frame.
         grids: (C, ...) what these show.
+        lines: (K, ...) to their key points, where any camera has some.
     """
     one = jax.tree.map(lambda part: part[None], pose)
     arms, own = candidates(model, settings.elbow_path, one)
@@ -66,6 +79,8 @@ def search_arms(
 
     squares = jax.lax.fori_loop(0, model.camera_count, of_camera, jnp.zeros_like(costs))
     pictures = squares / (2 * settings.silhouettes.deviation**2)
+    if lines is not None:
+        pictures += price_off_lines(arms.elbow[0], lines, settings.keypoints.deviation)
     total = costs + pictures
     shares = jax.nn.softmax(-(costs + COUNTS * pictures), axis=1)
     away = points - points[:, STAY, None]

@@ -20,6 +20,7 @@ from jaxmocap.compilation.arrays import packed, unpacked
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.running import NO_GRIDS, MeasuredFrame
 from jaxmocap.evidence.ground import ANKLES
+from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.smoothing.window.state import NEW, EventArrays
@@ -52,6 +53,7 @@ class ReportedStep(NamedTuple):
     markers_world: np.ndarray | Array
     images: Images
     report: StepReported
+    lines: SightLines | None = None  # of cameras with key points, (K, ...)
 
     @property
     def has_image(self) -> bool:
@@ -121,6 +123,7 @@ def new_events(
     model: Model,
     events: Sequence[WindowEvent],
     measured: Sequence[Measurements],
+    lines: Sequence[SightLines],
     since: Sequence[float],
     before: EventArrays | None,
 ) -> EventArrays:
@@ -129,7 +132,8 @@ def new_events(
     Args:
         model: of the person, the markers and the cameras.
         events: at most as many.
-        measured: of each, besides silhouettes.
+        measured: of each, besides silhouettes and key points.
+        lines: (K, ...) of each; none where no camera has key points.
         since: seconds from the event before each.
         before: those that came last, which fill up; None at first.
     """
@@ -146,11 +150,14 @@ def new_events(
             for camera, frame, _ in event.frames:
                 shown[row, camera] = True
                 jax.tree.map(partial(_put, (row, camera)), grids, frame.grids)
-    stacked = jax.tree.map(lambda *parts: np.stack(parts)[rows], *measured)
+    stacked, beside = (
+        jax.tree.map(lambda *parts: np.stack(parts)[rows], *each) if each else None
+        for each in (measured, lines)
+    )
     return EventArrays(
         np.int32(len(events)), np.asarray(since, dtype)[rows],
         np.stack([np.concatenate(event.pose) for event in events]).astype(dtype)[rows],
-        stacked, shown, grids,
+        stacked, shown, grids, beside,
     )  # fmt: skip
 
 

@@ -2,8 +2,8 @@
 
 All of them are linearised in each step: derivatives that were taken at poses which are no motion
 would contradict one another, and the motion prior would make evidence of that. What the silhouettes
-of an event cost is a quadratic about the pose where they were drawn; while the event stays near by,
-nothing is drawn again.
+and key points of an event cost is a quadratic about the pose where they were drawn; while the event
+stays near by, nothing is drawn again.
 
 INPUTS: a Model, settings, EventArrays, a marginal prior. OUTPUTS: a Window.
 """
@@ -18,7 +18,6 @@ from jax import Array
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import pack, retract, unpack
-from jaxmocap.evidence.silhouettes import Silhouettes
 from jaxmocap.evidence.smoothness import REACH, second_differences
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.rotations import HIGHEST
@@ -85,7 +84,7 @@ def solve(
         fit = _fits(model, settings, events, last.poses)
         drawn = last.drawn and last.drawn.about(last.steps)
         if drawn is not None:
-            drawn = _drawn_again(model, settings.silhouettes, events, drawn, fit, last.poses)
+            drawn = _drawn_again(model, settings, events, drawn, fit, last.poses)
         marginal = last.marginal.about(last.steps[:REACH])
         now = last._replace(fit=fit, drawn=drawn, marginal=marginal)
         return count + 1, _moved(model, settings, events, now)
@@ -210,22 +209,28 @@ def _in_parts(call: Callable, count: Array, stacked: tuple) -> Any:
 
 def _drawn_again(
     model: Model,
-    settings: Silhouettes,
+    settings: SmoothingSettings,
     events: EventArrays,
     drawn: Drawn,
     fit: FramesFit,
     poses: Array,
 ) -> Drawn:
-    """Silhouettes of what is no longer near where it was drawn, about packed poses (E, 7 + D)."""
+    """What cameras have of events no longer near where it was drawn, about poses (E, 7 + D)."""
     away = jnp.max(jnp.abs(fit.points - drawn.points), 1)
     is_stale = events.have_frames & ~(away <= NEAR_M)
-    soft = jnp.asarray(SOFTNESS, poses.dtype)
+    soft, nothing = jnp.asarray(SOFTNESS, poses.dtype), jnp.zeros(0, poses.dtype)
 
     def one(i: Array, drawn: Drawn) -> Drawn:
         def there() -> Drawn:
             grids = jax.tree.map(lambda part: part[i], events.grids)
             shown, pose = jnp.asarray(events.shown)[i], unpack(poses[i])
-            cost, H, slope, _ = silhouettes_fit(model, settings, pose, shown, grids, soft)
+            seen = silhouettes_fit(model, settings.silhouettes, pose, shown, grids, soft)[:3]
+            if events.lines is not None:
+                own = jax.tree.map(lambda part: jnp.asarray(part)[i], events.lines)
+                pose, own = jax.tree.map(lambda part: part[None], (pose, {"sight_lines": own}))
+                points = frames_fit((settings.keypoints,), model, nothing, pose, own)[:3]
+                seen = (one + other[0] for one, other in zip(seen, points, strict=True))
+            cost, H, slope = seen
             return Drawn(cost, H, slope, fit.points[i], jnp.zeros_like(slope))
 
         here = jax.tree.map(lambda part: part[i], drawn)

@@ -18,6 +18,7 @@ from jaxmocap.body.pose import pack, relaxed_pose
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.arrays import Numbers
+from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.evidence.smoothness import REACH
 from jaxmocap.evidence.terms import Measurements
@@ -40,6 +41,7 @@ class EventArrays(NamedTuple):
     measured: Measurements  # (E, ...) besides the silhouettes
     shown: Numbers  # (E, C) which cameras had a frame
     grids: SilhouetteGrids | None  # (E, C, ...) what these show; None without cameras
+    lines: SightLines | None = None  # (E, K, ...) of cameras with key points; None where none has
 
     def joined(self, news: "EventArrays") -> "EventArrays":
         """With ``NEW`` others behind; there must be room."""
@@ -84,7 +86,7 @@ def later_rows(tree: Any, left: Array) -> Any:
 
 
 class Drawn(NamedTuple):
-    """What the silhouettes of E events cost near the poses where they were drawn."""
+    """What silhouettes and key points of E events cost near the poses where they were drawn."""
 
     cost: Array  # (E,) of them there
     hessian: Array  # (E, N, N) of half the cost, by the pose's tangent vector
