@@ -16,13 +16,7 @@ from painted_motion import CAMERAS, CELL_PX, CELLS, MODEL, PERSON, problem, trut
 
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.proportions import (
-    GIRTHS,
-    LENGTHS,
-    PROPORTIONS,
-    covariance_among_people,
-    scaled,
-)
+from jaxmocap.body.proportions import GIRTHS, LENGTHS, PROPORTIONS, covariance_among_people, scaled
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.calibration.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, project_limbs
