@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import double, on_device
 from drawn_arms import SIZE
-from drawn_body import paint, room
+from drawn_body import paint, room, with_noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from painted_motion import (
@@ -25,7 +25,6 @@ from painted_motion import (
 )
 from scipy.linalg import block_diag
 
-from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract, unpack
 from jaxmocap.body.proportions import PROPORTIONS
@@ -64,21 +63,14 @@ TIMES = np.arange(COUNT) / RATE
 
 @cache
 def images() -> list[np.ndarray]:
-    """Of camera 0, with a sensor's noise."""
-    wall, rng = room(SIZE), np.random.default_rng(3)
-    poses = [Pose(*each) for each in zip(*truth(COUNT), strict=True)]
-    painted = [paint(CAMERAS[0], PERSON, pose, wall).image for pose in poses]
-    noise = [np.rint(rng.normal(0, 2, image.shape)) for image in painted]
-    return [
-        np.clip(image + each, 0, 255).astype(np.uint8)
-        for image, each in zip(painted, noise, strict=True)
-    ]
+    """Of camera 0."""
+    wall, poses = room(SIZE), [Pose(*each) for each in zip(*truth(COUNT), strict=True)]
+    return with_noise([paint(CAMERAS[0], PERSON, pose, wall).image for pose in poses], 3)
 
 
-@jax.jit
-def marked(pose: Pose) -> jax.Array:
+def marked(pose: Pose) -> np.ndarray:
     """Markers (M, 3)."""
-    return site_positions(PERSON, forward(PERSON, pose), MARKERS)
+    return np.asarray(places_of(jax.tree.map(lambda part: np.asarray(part)[None], pose)))[0]
 
 
 @cache
@@ -709,7 +701,7 @@ def test_points_that_smoothing_takes_off_their_markers_come_back():
 def test_a_hand_that_is_back_from_elsewhere_leaves_the_head_where_it_is(away):
     model = Model.create(PERSON, MARKERS)
     pose = unpack(np.concatenate(at(truth(COUNT), 3)).astype(np.float32))
-    points = np.asarray(marked(pose))
+    points = marked(pose)
     markers = points + np.array([[0.0, 0, 0], [0, 0, 0], [-0.2, 0.0, away]])
     still = np.zeros(6 + PERSON.limits.shape[0], np.float32)
     moved = jax.jit(moved_near_markers)(model, pose, still, markers)
