@@ -685,27 +685,22 @@ def test_corrections_fade_in_beside_the_markers():
         assert np.abs(moved.angles - unpack(pose).angles).max() > 0.1
 
 
+def off_moved_markers(by) -> np.ndarray:
+    """Distances (M,) from markers that lie elsewhere by so much, of a pose moved near them."""
+    pose = unpack(np.concatenate(at(truth(COUNT), 3)).astype(np.float32))
+    markers, still = marked(pose) + by, np.zeros(6 + PERSON.limits.shape[0], np.float32)
+    moved = jax.jit(moved_near_markers)(Model.create(PERSON, MARKERS), pose, still, markers)
+    return np.linalg.norm(marked(moved) - markers, axis=-1)
+
+
 def test_points_that_smoothing_takes_off_their_markers_come_back():
     """Two centimetres, which the motion prior would rather have than a fast turn."""
-    model = Model.create(PERSON, MARKERS)
-    pose = np.concatenate(at(truth(COUNT), 3)).astype(np.float32)
-    points = marked(unpack(pose))
-    markers = points + np.array([0.0, 0.0, -0.02])
-    still = np.zeros(6 + PERSON.limits.shape[0], np.float32)
-    moved = jax.jit(moved_near_markers)(model, unpack(pose), still, markers)
-    off = np.linalg.norm(marked(moved) - markers, axis=-1)
-    assert off.max() < STRAY_M + 1e-3
+    assert off_moved_markers(np.array([0.0, 0.0, -0.02])).max() < STRAY_M + 1e-3
 
 
 @pytest.mark.parametrize("away", [0.6, 0.9, 1.2])
 def test_a_hand_that_is_back_from_elsewhere_leaves_the_head_where_it_is(away):
-    model = Model.create(PERSON, MARKERS)
-    pose = unpack(np.concatenate(at(truth(COUNT), 3)).astype(np.float32))
-    points = marked(pose)
-    markers = points + np.array([[0.0, 0, 0], [0, 0, 0], [-0.2, 0.0, away]])
-    still = np.zeros(6 + PERSON.limits.shape[0], np.float32)
-    moved = jax.jit(moved_near_markers)(model, pose, still, markers)
-    off = np.linalg.norm(marked(moved) - markers, axis=-1)
+    off = off_moved_markers(np.array([[0.0, 0, 0], [0, 0, 0], [-0.2, 0.0, away]]))
     assert off[:2].max() < 0.02 and off[2] < 0.7 * np.hypot(0.2, away)
 
 
