@@ -33,12 +33,7 @@ from jaxmocap.pipelines.planning.subject import drawn_subject, movement_of, sett
 from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.synthetic.drawing_camera import look_at
 from jaxmocap.synthetic.people.clothed_person import clothed_actor
-from jaxmocap.synthetic.recording import (
-    VIDEO_RATE,
-    recording_parts,
-    video_times,
-    write_parts,
-)
+from jaxmocap.synthetic.recording import VIDEO_RATE, recording_parts, video_times, write_parts
 from jaxmocap.synthetic.renderer import RotatedMover, Scene, render_frames
 
 MOVEMENTS = ("tennis", "across", "raises")

@@ -39,10 +39,7 @@ BOTH_WAYS = {
     "both ways, low-pass": ContourPoseSettings(),
 }
 # With and without rejection by the distance in space.
-OUTLIERS = {
-    "all count": ContourPoseSettings(reach=np.inf),
-    "outliers out": ContourPoseSettings(),
-}
+OUTLIERS = {"all count": ContourPoseSettings(reach=np.inf), "outliers out": ContourPoseSettings()}
 # Of an outline: pixels that are anywhere, and a stretch that another thing hides.
 WRONG, HIDDEN = 0.2, 0.3
 # Height of a surface's lumps, by its radius.

@@ -30,12 +30,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.silhouettes import LegGrid, SilhouetteGrids
 from jaxmocap.hybrid.observe import edge_fields
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.step import (
-    EventFields,
-    RefineInputs,
-    refine_events,
-    solve_events,
-)
+from jaxmocap.hybrid.step import EventFields, RefineInputs, refine_events, solve_events
 from jaxmocap.hybrid.tracker import HybridTracker, Images, State
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette_grid import Grid

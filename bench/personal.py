@@ -61,11 +61,7 @@ from jaxmocap.synthetic.photographs import rest_height, write_photographs
 PEOPLE, EXERCISE = "slim_woman,broad_man", "arm_raises"
 RAISERS, RAISED_ARMS = "woman,broad_man,tall_man,slim_woman", "overhead"
 GIRDLES = {"girdles that go along": Girdle(), "girdles that stay": None}
-MORPHINGS = {
-    "off": Morphing(),
-    "joints": Morphing(shoulders().followers),
-    "and skin": shoulders(),
-}
+MORPHINGS = {"off": Morphing(), "joints": Morphing(shoulders().followers), "and skin": shoulders()}
 # What is compared: its name with its unit, and how it is taken off a result.
 Figures = Mapping[str, Callable[[Result], float]]
 OF_BODIES: Figures = {

@@ -20,14 +20,7 @@ if TYPE_CHECKING:
     from jaxmocap.formats.files.errors import InputError
     from jaxmocap.formats.recordings.recording import Recording
     from jaxmocap.geometry.cameras import Camera
-    from jaxmocap.hybrid.functions import (
-        Observation,
-        landmarks,
-        observe,
-        refine,
-        smooth,
-        solve,
-    )
+    from jaxmocap.hybrid.functions import Observation, landmarks, observe, refine, smooth, solve
     from jaxmocap.hybrid.settings import Settings
     from jaxmocap.hybrid.step import State
     from jaxmocap.hybrid.tracker import HybridTracker

@@ -272,3 +272,19 @@ def recordings() -> Path:
     if not RECORDINGS.is_dir():
         pytest.skip("the real recordings are not here (shared/recordings beside the checkout)")
     return RECORDINGS
+
+
+@pytest.fixture(scope="session")
+def slim_woman(recordings):
+    """A body mesh with a rig of its own."""
+    from jaxmocap.synthetic.people.rigged_mesh import load_rig
+
+    return load_rig(recordings / "person" / "person.npz", "slim_woman")
+
+
+@pytest.fixture(scope="session")
+def shots(slim_woman, tmp_path_factory) -> Path:
+    """The folder of four photographs and their cameras' calibration."""
+    from jaxmocap.synthetic.photographs import write_photographs
+
+    return write_photographs(tmp_path_factory.mktemp("photographs"), slim_woman).parent

@@ -91,6 +91,13 @@ DOORS = {
     ),
 }
 HEAVY = ("cv2", "rerun", "matplotlib", "av", "optimistix", "ezc3d")
+HELP = """
+from contextlib import redirect_stdout, suppress
+from io import StringIO
+from jaxmocap.cli.program import main
+with suppress(SystemExit), redirect_stdout(StringIO()):
+    main(["--help"])
+"""
 TOP_LEVEL = {*ROOMS, "docs", "__init__.py", "README.md", "py.typed"}
 MOST_MODULES = 12
 LONGEST_FILE = 350
@@ -196,8 +203,18 @@ def test_every_module_says_what_it_is():
         assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), within(path)
 
 
-def test_importing_the_package_loads_neither_viewer_nor_opencv():
-    check = f"import sys, jaxmocap; print([m for m in {HEAVY!r} if m in sys.modules])"
+@pytest.mark.parametrize(
+    ("code", "absent"),
+    [
+        ("import jaxmocap", HEAVY),
+        ("import jaxmocap.outputs.viewer", ("rerun",)),
+        ("import jaxmocap.evaluation.plots, jaxmocap.evaluation.errors", ("matplotlib",)),
+        (HELP, ("jax", "cv2", "av", "rerun")),
+    ],
+    ids=("the package", "the viewer", "evaluation", "help"),
+)
+def test_libraries_load_only_when_they_are_used(code, absent):
+    check = f"{code}\nimport sys\nprint([m for m in {absent!r} if m in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", check], capture_output=True, text=True, cwd=PROJECT, check=True
     )

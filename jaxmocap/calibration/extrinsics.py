@@ -224,13 +224,9 @@ def _deviations(
     freedom = max(1, J.shape[0] - 6)
     covariance = np.linalg.pinv(J.T @ J) * (pose.residuals_xy**2).sum() / freedom
     steps, here = 1e-6 * np.eye(6), np.concatenate([pose.rvec, pose.tvec])
-    moved = [replace(pose, rvec=at[:3], tvec=at[3:]).matrix for at in here + steps]
-    slopes = np.array([_change(pose.matrix, T) for T in moved]).T / 1e-6
+    moved = np.array([replace(pose, rvec=at[:3], tvec=at[3:]).matrix for at in here + steps])
+    places = [position_world_of(T) - position_world_of(pose.matrix) for T in moved]
+    turns = Rotation.from_matrix(moved[:, :3, :3] @ pose.matrix[:3, :3].T).as_rotvec()
+    slopes = np.concatenate([places, turns], 1).T / 1e-6
     std = np.sqrt(np.diag(slopes @ covariance @ slopes.T))
     return std[:3], float(np.degrees(std[3:].max()))
-
-
-def _change(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(6,) by how much the place moves, metres, and the camera turns, radians."""
-    rotation = Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec()
-    return np.concatenate([position_world_of(b) - position_world_of(a), rotation])

@@ -83,9 +83,7 @@ def settings(cls: type[T]) -> type[T]:
     named = fields(made)  # type: ignore[arg-type]
     shape = [each.name for each in named if each.metadata.get("static")]
     jax.tree_util.register_dataclass(
-        made,
-        data_fields=[each.name for each in named if each.name not in shape],
-        meta_fields=shape,
+        made, data_fields=[each.name for each in named if each.name not in shape], meta_fields=shape
     )
     listed = [f"    {f.name}: {f.metadata['meaning']}." for f in named if "meaning" in f.metadata]
     made.__doc__ = "\n".join([f"{cls.__doc__ or cls.__name__}\n", "Attributes:", *listed])

@@ -68,12 +68,7 @@ def interval_coverage(
 # Vertical axis of a file -> which of its axes are the world's x, y, z.
 TO_WORLD = {"z": [0, 1, 2], "y": [2, 0, 1]}
 # Statistic -> its unit, as the end of its key in JSON; metres where it is not here.
-_UNITS = {
-    "samples": "",
-    "jitter": "_m_s2",
-    "within_90": "_share",
-    "error_over_stated": "",
-}
+_UNITS = {"samples": "", "jitter": "_m_s2", "within_90": "_share", "error_over_stated": ""}
 
 
 @dataclass(frozen=True)

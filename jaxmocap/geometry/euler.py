@@ -86,10 +86,7 @@ class _Places(NamedTuple):
 
 
 def continuous_euler(
-    R: Rows,
-    order: str,
-    ranges: np.ndarray | None = None,
-    times: np.ndarray | None = None,
+    R: Rows, order: str, ranges: np.ndarray | None = None, times: np.ndarray | None = None
 ) -> np.ndarray:
     """Angles (T, J, 3), radians, of (T, J, 3, 3) rotations; NaN where those are.
 

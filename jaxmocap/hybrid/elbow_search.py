@@ -52,11 +52,7 @@ def no_belief(settings: ElbowSearchSettings, pose: Pose) -> ElbowBelief:
 
 
 def search(
-    settings: Settings,
-    cameras: Camera,
-    fields: EdgeFields,
-    arms: Arms,
-    belief: ElbowBelief,
+    settings: Settings, cameras: Camera, fields: EdgeFields, arms: Arms, belief: ElbowBelief
 ) -> ElbowBelief:
     """One step of the filter for both arms; an arm without an image keeps drifting to its prior.
 

@@ -79,12 +79,7 @@ def refine_body(
 
 
 def _descended(
-    model: Model,
-    settings: Settings,
-    edges: WeightedEdges,
-    start: Pose,
-    aims: Aims,
-    exact: bool,
+    model: Model, settings: Settings, edges: WeightedEdges, start: Pose, aims: Aims, exact: bool
 ) -> tuple[Pose, Array]:
     # Here, since optimistix takes half a second to import, which the simplex does not need.
     from jaxmocap.solvers.least_squares import least_squares

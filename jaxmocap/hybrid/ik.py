@@ -140,7 +140,5 @@ def goals_of(model: Model, settings: IKSettings, feet: FootPlacement, targets: A
     held = jnp.concatenate([mask, jnp.ones(len(sides), bool)])
     present = jnp.where(mask[:, None], targets, 0.0)
     return Goals(
-        effectors,
-        jnp.concatenate([present, feet.ankles[sides]]),
-        jnp.where(held, weights, 0.0),
+        effectors, jnp.concatenate([present, feet.ankles[sides]]), jnp.where(held, weights, 0.0)
     )

@@ -28,12 +28,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.evidence.markers import Goals, are_present
 from jaxmocap.hybrid.balance import bow_on_feet
-from jaxmocap.hybrid.elbow_search import (
-    ElbowBelief,
-    believed_elbows,
-    search,
-    without_image,
-)
+from jaxmocap.hybrid.elbow_search import ElbowBelief, believed_elbows, search, without_image
 from jaxmocap.hybrid.fit import Aims, no_status, refine_arms, refine_body
 from jaxmocap.hybrid.ik import IKResult, goal_distances, goals_of, reach
 from jaxmocap.hybrid.settings import Settings

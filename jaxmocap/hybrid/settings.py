@@ -46,8 +46,7 @@ class IKSettings:
     )
     iterations: Array = counted(30, "most iterations of algorithm 1 in a frame")
     settle: Array = counted(
-        4,
-        "iterations that it always makes, so that the secondary task acts while markers are met",
+        4, "iterations that it always makes, so that the secondary task acts while markers are met"
     )
     following: Array = counted(
         4,

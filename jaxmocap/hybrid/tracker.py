@@ -161,10 +161,7 @@ class HybridTracker:
         return after, pose, report
 
     def solve(
-        self,
-        state: State,
-        markers_world: np.ndarray | Array,
-        clock: Clock | None = None,
+        self, state: State, markers_world: np.ndarray | Array, clock: Clock | None = None
     ) -> tuple[State, Pose, StepReport]:
         """One event by its markers alone: what the video taught waits for the next ``step``.
 

@@ -182,11 +182,7 @@ def weighed(odds: np.ndarray) -> Layers:
 
 
 def person_grids(
-    pair: tuple[Layers, Layers],
-    origin_px: np.ndarray,
-    cell_px: float,
-    size: int,
-    blur: float = 0.5,
+    pair: tuple[Layers, Layers], origin_px: np.ndarray, cell_px: float, size: int, blur: float = 0.5
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Log-odds averaged over the cells of a static grid, two at once.
 

@@ -127,10 +127,7 @@ def log_projected_targets(
 
 
 def log_field(
-    stream: rr.RecordingStream,
-    name: str,
-    label: str,
-    images: Iterable[tuple[float, np.ndarray]],
+    stream: rr.RecordingStream, name: str, label: str, images: Iterable[tuple[float, np.ndarray]]
 ) -> None:
     """Grey images of a region of the camera's image, in a view of their own."""
     for time, image in images:

@@ -27,10 +27,7 @@ MOST_POSES = 150
 
 
 def log_skin(
-    stream: rr.RecordingStream,
-    motion: Motion,
-    surface: Surface,
-    picture: np.ndarray | None = None,
+    stream: rr.RecordingStream, motion: Motion, surface: Surface, picture: np.ndarray | None = None
 ) -> None:
     """The surface as the motion moves it; nothing where the pose is unknown.
 

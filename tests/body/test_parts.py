@@ -8,11 +8,7 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.cli.silhouette.track import BODIES
-from jaxmocap.silhouette.first_pose import (
-    landmark_points,
-    pose_at_landmarks,
-    standing_pose_at,
-)
+from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
 from jaxmocap.silhouette.recovery.limbs import limb_chains
 from jaxmocap.silhouette.surfaces.body_shape import (
     determined_landmarks,

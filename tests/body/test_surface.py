@@ -12,13 +12,7 @@ from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.loft import generic_surface, lofted_parts, rest_joints, stature_of
 from jaxmocap.body.surfaces.pieces import body_pieces
-from jaxmocap.body.surfaces.surface import (
-    Surface,
-    low_pass,
-    posed,
-    resampled,
-    rest_nodes,
-)
+from jaxmocap.body.surfaces.surface import Surface, low_pass, posed, resampled, rest_nodes
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.surface import load_surface, save_surface
 from jaxmocap.geometry.fourier import cosine_matrix, fourier_matrix, linear_matrix

@@ -9,7 +9,7 @@ import pytest
 from conftest import complaint
 from hypothesis import given
 from hypothesis import strategies as st
-from small_recording import SAMPLES, small_recording
+from small_recording import SAMPLES, small_recording, with_outlier_and_gap
 
 from jaxmocap.capture import filters
 from jaxmocap.capture.filters import (
@@ -322,12 +322,9 @@ def test_a_cut_off_that_the_samples_cannot_hold_is_refused():
 
 def spoilt() -> Recording:
     """The small recording with an outlier, a short gap and a long one."""
-    recording = small_recording()
-    positions = recording.positions_world.copy()
-    positions[5, 1] += 0.4
-    positions[10:13, 2] = np.nan
-    positions[12:20, 0] = np.nan
-    return replace(recording, positions_world=positions)
+    recording = with_outlier_and_gap()
+    recording.positions_world[12:20, 0] = np.nan
+    return recording
 
 
 def test_filters_work_one_after_the_other_and_say_what_they_did():

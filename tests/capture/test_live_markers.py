@@ -112,13 +112,7 @@ def test_what_cannot_be_a_place_is_absurd_and_others_in_its_bundle_count(place):
 
 @pytest.mark.parametrize(
     "datagram",
-    [
-        b"",
-        b"hello",
-        b"#bundle\0",
-        VALID[:-4],
-        VALID[:16] + b"\xff\xff\xff\xfc" + VALID[20:],
-    ],
+    [b"", b"hello", b"#bundle\0", VALID[:-4], VALID[:16] + b"\xff\xff\xff\xfc" + VALID[20:]],
 )
 def test_what_is_cut_off_or_no_osc_is_malformed(datagram):
     with pytest.raises(BadPacketError, match="malformed"):

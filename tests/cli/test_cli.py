@@ -161,16 +161,6 @@ def test_every_command_helps_with_an_example(words, example, capsys):
     assert f"example: {example}" in capsys.readouterr().out
 
 
-def test_help_loads_neither_jax_nor_opencv():
-    check = (
-        "import sys\nfrom jaxmocap.cli.program import main\n"
-        "try: main(['--help'])\nexcept SystemExit: pass\n"
-        "print([m for m in ('jax', 'cv2', 'av', 'rerun') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
-
-
 # Bad input ---------------------------------------------------------------------------------------
 
 

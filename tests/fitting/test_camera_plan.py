@@ -30,12 +30,7 @@ from jaxmocap.geometry.cameras import Camera, camera_of_fov
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.planning.requirements import Requirements
 from jaxmocap.pipelines.planning.results import in_words
-from jaxmocap.pipelines.planning.subject import (
-    Subject,
-    drawn_subject,
-    movement_of,
-    settings_for,
-)
+from jaxmocap.pipelines.planning.subject import Subject, drawn_subject, movement_of, settings_for
 from jaxmocap.synthetic.drawing_camera import look_at
 from jaxmocap.synthetic.movements.motions import MOTIONS, table_tennis
 

@@ -12,26 +12,18 @@ import numpy as np
 import pytest
 from conftest import on_device
 from drawn_arms import SIZE
-from painted_motion import CAMERAS, CELL_PX, CELLS, MODEL, PERSON, problem, truth
+from painted_motion import CAMERAS, CELL_PX, CELLS, MODEL, PERSON, limb_distances, problem, truth
 
-from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.proportions import (
-    GIRTHS,
-    LENGTHS,
-    PROPORTIONS,
-    covariance_among_people,
-    scaled,
-)
+from jaxmocap.body.proportions import GIRTHS, LENGTHS, PROPORTIONS, covariance_among_people, scaled
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.calibration.fitting.lengths import LengthsFit, fit_lengths
-from jaxmocap.evidence.silhouettes import SilhouetteGrids, project_limbs
+from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.recordings.subject import read_subject, write_subject
 from jaxmocap.formats.time_series.trc import write_trc
-from jaxmocap.geometry.outlines import Discs, touch
 from jaxmocap.images.regions import Region
-from jaxmocap.images.silhouette_grid import Grid, cells
+from jaxmocap.images.silhouette_grid import Grid
 from jaxmocap.pipelines.scaling.lengths_report import (
     DETERMINED,
     NOT_DETERMINED,
@@ -78,13 +70,9 @@ def test_people_of_one_stature_have_lengths_in_common():
     np.testing.assert_allclose(two, np.diag([p.deviation**2 for p in PROPORTIONS]))
 
 
-@jax.jit
 def coverage(pose, camera, grids):
     """The person (S, S) as the tracker draws it."""
-    _, discs, _ = project_limbs(PERSON, forward(PERSON, pose), camera, grids)
-    each = Discs(*(part[:, None] for part in discs))
-    nearest = jnp.min(touch(each, *cells(CELLS, discs.near.dtype)).distance, 0)
-    return jax.nn.sigmoid(-nearest / 0.2).reshape(CELLS, CELLS)
+    return jax.nn.sigmoid(-limb_distances(pose, camera, grids)[0] / 0.2)
 
 
 def of_own_flesh() -> Views:

@@ -234,10 +234,7 @@ def test_an_opencap_board_that_is_upside_down_points_up(tmp_path):
     session, _ = opencap(tmp_path, {"Cam0": place(0)})
     path = session / "Videos" / "Cam0" / "cameraIntrinsicsExtrinsics.pickle"
     table = opencap_table(place(0))
-    for R, up in (
-        (np.eye(3), "-y up"),
-        (Rotation.from_rotvec([0, 0, np.pi]).as_matrix(), "y up"),
-    ):
+    for R, up in ((np.eye(3), "-y up"), (Rotation.from_rotvec([0, 0, np.pi]).as_matrix(), "y up")):
         path.write_bytes(pickle.dumps(table | {"rotation": R}))
         notes = convert_calibration(session, tmp_path / "ours.toml")
         assert notes[0].endswith(f"mm, {up}")

@@ -24,10 +24,7 @@ def document() -> dict[str, Any]:
     """A hip and a knee that turn, each with four keys."""
     return {
         "asset": {"version": "2.0"},
-        "nodes": [
-            {"name": "hip", "children": [1]},
-            {"name": "knee", "translation": [0, -0.4, 0]},
-        ],
+        "nodes": [{"name": "hip", "children": [1]}, {"name": "knee", "translation": [0, -0.4, 0]}],
         "animations": [
             {
                 "channels": [

@@ -41,19 +41,40 @@ def distance_to_swept_disc(limb: Discs, points: np.ndarray) -> np.ndarray:
     return np.array([nearest(point) for point in points])
 
 
+def exceeds(limb: Discs) -> float:
+    """By how much the centres' distance exceeds the difference of the radii: below 0 end-on."""
+    return np.linalg.norm(limb.near - limb.far) - abs(limb.radii[0] - limb.radii[1])
+
+
+LIMBS = st.builds(discs, vectors(2), vectors(2), radii, radii)
+# Where one disc only just holds the other the tangents end; that border has a test of its own.
+OFF_THE_BORDER = LIMBS.filter(
+    lambda limb: abs(exceeds(limb)) > 2e-3 and np.linalg.norm(limb.near - limb.far) > 1e-5
+)
+SIDE_ON = LIMBS.filter(lambda limb: exceeds(limb) > 0.01)
+SEEDS = st.integers(0, 1000)
+
+
+def scattered(seed: int, count: int, most: float = 1.5) -> np.ndarray:
+    """Points (K, 2) anywhere about the origin."""
+    return np.random.default_rng(seed).uniform(-most, most, (count, 2))
+
+
+def nested(near: np.ndarray, turn: float, share: float) -> list[Discs]:
+    """A small disc within a large one, either of them near; ``share`` 1 lets them touch."""
+    far = near + share * 0.2 * np.array([np.cos(turn), np.sin(turn)])
+    return [discs(near, far, *pair) for pair in ((0.3, 0.1), (0.1, 0.3))]
+
+
 def hull_points(limb: Discs, count=4000) -> np.ndarray:
     turn = np.linspace(0, 2 * np.pi, count, endpoint=False)
     circle = np.stack([np.cos(turn), np.sin(turn)], 1)
     return np.vstack([limb.near + limb.radii[0] * circle, limb.far + limb.radii[1] * circle])
 
 
-@given(vectors(2), vectors(2), radii, radii, st.integers(0, 1000))
-def test_signed_distance_is_that_to_the_discs_hull(near, far, near_radius, far_radius, seed):
-    limb = discs(near, far, near_radius, far_radius)
-    length = np.linalg.norm(near - far)
-    # Where one disc only just holds the other the tangents end; that border has a test of its own.
-    assume(abs(length - abs(near_radius - far_radius)) > 2e-3 and length > 1e-5)
-    points = np.random.default_rng(seed).uniform(-1.5, 1.5, (12, 2))
+@given(OFF_THE_BORDER, SEEDS)
+def test_signed_distance_is_that_to_the_discs_hull(limb, seed):
+    points = scattered(seed, 12)
     with double():
         ours = DISTANCE(on_device(limb), on_device(points))
     np.testing.assert_allclose(ours, distance_to_swept_disc(limb, points), atol=2e-6)
@@ -61,17 +82,14 @@ def test_signed_distance_is_that_to_the_discs_hull(near, far, near_radius, far_r
     np.testing.assert_allclose(ours, by_point, rtol=1e-9, atol=1e-9)
 
 
-@given(vectors(2, 0.5), st.floats(-np.pi, np.pi), st.floats(0.0, 0.95), st.integers(0, 1000))
+@given(vectors(2, 0.5), st.floats(-np.pi, np.pi), st.floats(0.0, 0.95), SEEDS)
 def test_a_limb_seen_end_on_is_its_larger_disc(near, turn, share, seed):
-    for larger, smaller in ((0.3, 0.1), (0.1, 0.3)):
-        far = near + share * abs(larger - smaller) * np.array([np.cos(turn), np.sin(turn)])
-        limb = discs(near, far, larger, smaller)
-        random = np.random.default_rng(seed).uniform(-1, 1, (6, 2))
-        ahead = far + np.outer([0.05, 0.31, 0.8], far - near + 1e-9)
-        points = np.vstack([random, ahead])
+    for limb in nested(near, turn, share):
+        ahead = limb.far + np.outer([0.05, 0.31, 0.8], limb.far - near + 1e-9)
+        points = np.vstack([scattered(seed, 6, 1.0), ahead])
         with double():
             ours = DISTANCE(on_device(limb), on_device(points))
-        centre = near if larger > smaller else far
+        centre = near if limb.radii[0] > limb.radii[1] else limb.far
         expected = np.linalg.norm(points - centre, axis=1) - 0.3
         np.testing.assert_allclose(ours, expected, atol=1e-5)
 
@@ -85,12 +103,9 @@ def touched(limb: Discs, points: np.ndarray) -> outlines.Touch:
     return outlines.Touch(*(np.asarray(part) for part in actual))
 
 
-@given(vectors(2), vectors(2), radii, radii, st.integers(0, 1000))
-def test_the_nearest_disc_along_the_axis_is_the_one_that_touches(near, far, a, b, seed):
-    limb = discs(near, far, a, b)
-    length = np.linalg.norm(near - far)
-    assume(abs(length - abs(a - b)) > 2e-3 and length > 1e-5)
-    points = np.random.default_rng(seed).uniform(-1.5, 1.5, (12, 2))
+@given(OFF_THE_BORDER, SEEDS)
+def test_the_nearest_disc_along_the_axis_is_the_one_that_touches(limb, seed):
+    points, (near, far, (a, b)) = scattered(seed, 12), limb
     actual = touched(limb, points)
     share = np.linspace(0, 1, 2001)[:, None]
     family = np.linalg.norm(points - ((1 - share) * near + share * far)[:, None], axis=-1)
@@ -144,31 +159,26 @@ def off_the_medial_axis(limb: Discs, points: np.ndarray) -> np.ndarray:
     return points[(aside > 0.03) & (np.linalg.norm(points - centres, axis=-1) > 0.03).all(0)]
 
 
-@given(vectors(2), vectors(2), radii, radii, st.integers(0, 1000))
-def test_derivatives_by_the_discs_are_those_of_the_touching_circle(near, far, a, b, seed):
-    limb = discs(near, far, a, b)
-    assume(np.linalg.norm(near - far) > abs(a - b) / 0.99 + 0.02)
-    points = off_the_medial_axis(limb, np.random.default_rng(seed).uniform(-1.5, 1.5, (16, 2)))
+@given(LIMBS, SEEDS)
+def test_derivatives_by_the_discs_are_those_of_the_touching_circle(limb, seed):
+    assume(exceeds(limb) > abs(limb.radii[0] - limb.radii[1]) / 99 + 0.02)
+    points = off_the_medial_axis(limb, scattered(seed, 16))
     expected = by_finite_differences(limb, points)
     np.testing.assert_allclose(by_the_touching_circle(touched(limb, points)), expected, atol=2e-4)
 
 
-@given(vectors(2, 0.5), st.floats(-np.pi, np.pi), st.floats(0.05, 0.9), st.integers(0, 1000))
+@given(vectors(2, 0.5), st.floats(-np.pi, np.pi), st.floats(0.05, 0.9), SEEDS)
 def test_a_nested_disc_has_no_say_in_the_distance(near, turn, share, seed):
-    for larger, smaller in ((0.3, 0.1), (0.1, 0.3)):
-        far = near + share * 0.2 * np.array([np.cos(turn), np.sin(turn)])
-        limb = discs(near, far, larger, smaller)
-        points = off_the_medial_axis(limb, np.random.default_rng(seed).uniform(-1, 1, (8, 2)))
+    for limb in nested(near, turn, share):
+        points = off_the_medial_axis(limb, scattered(seed, 8, 1.0))
         actual = by_the_touching_circle(touched(limb, points))
         np.testing.assert_allclose(actual, by_finite_differences(limb, points), atol=2e-4)
-        inner = [2, 3, 5] if larger > smaller else [0, 1, 4]
+        inner = [2, 3, 5] if limb.radii[0] > limb.radii[1] else [0, 1, 4]
         assert not actual[:, inner].any()
 
 
-@given(vectors(2), vectors(2), radii, radii)
-def test_outline_points_lie_on_the_outline_and_weigh_its_length(near, far, a, b):
-    limb = discs(near, far, a, b)
-    assume(np.linalg.norm(near - far) > abs(a - b) + 0.01)
+@given(SIDE_ON)
+def test_outline_points_lie_on_the_outline_and_weigh_its_length(limb):
     with double():
         actual = OUTLINE(on_device(limb), ALONG, AROUND, jnp.ones(2))
         points, weights = actual.points, actual.weights
@@ -181,20 +191,17 @@ def test_outline_points_lie_on_the_outline_and_weigh_its_length(near, far, a, b)
     )
 
 
-@given(vectors(2), vectors(2), radii, radii)
-def test_normals_point_outwards_from_the_outline(near, far, a, b):
-    limb = discs(near, far, a, b)
-    assume(np.linalg.norm(near - far) > abs(a - b) + 0.01)
+@given(SIDE_ON)
+def test_normals_point_outwards_from_the_outline(limb):
     with double():
         actual = OUTLINE(on_device(limb), ALONG, AROUND, jnp.ones(2))
         farther = DISTANCE(on_device(limb), actual.points + 0.01 * actual.normals)
     np.testing.assert_allclose(farther, 0.01, atol=1e-6)
 
 
-@given(vectors(2), vectors(2), radii, radii, st.integers(0, 1))
-def test_closed_ends_do_not_count_on_a_limb_seen_from_the_side(near, far, a, b, end):
-    limb = discs(near, far, a, b)
-    length = np.linalg.norm(near - far)
+@given(LIMBS, st.integers(0, 1))
+def test_closed_ends_do_not_count_on_a_limb_seen_from_the_side(limb, end):
+    length, (a, b) = np.linalg.norm(limb.near - limb.far), limb.radii
     assume(length > a + b)
     side = np.sqrt(length**2 - (a - b) ** 2)
     with double():

@@ -10,7 +10,6 @@ import pytest
 from conftest import LIMITS, double, on_device
 from watched_arms import (
     FRONT,
-    GRIPS,
     MARKERS,
     MODEL,
     PERSON,
@@ -20,11 +19,11 @@ from watched_arms import (
     elbow_errors,
     observed,
     pictures,
+    pose_off_by,
     stacked,
     true_arms,
 )
 
-from jaxmocap.body.arms import arm_dofs, hang, swing
 from jaxmocap.body.kinematics import Sites, forward, points_on, site_positions
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.compilation.programs import Program
@@ -39,7 +38,6 @@ from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.solvers.status import Status
 
 CAMERAS = stacked(FRONT)
-DOFS = arm_dofs(PERSON.tree)
 EFFECTORS = MODEL.effectors
 ANKLES = [PERSON.tree.bone(f"foot_{side}") for side in "lr"]
 FREE = jnp.ones(PERSON.costs.shape, bool)
@@ -93,18 +91,6 @@ def refined(start, fields=None, goals=None, chosen=ALONE, elbows=None):
     goals = goals_for(TRUTH) if goals is None else goals
     elbows = arms_in(start).elbow if elbows is None else elbows
     return _refined(chosen, CAMERAS, fields, start, goals, elbows, start)
-
-
-@jax.jit
-def _swung(pose, moves):
-    return swing(hang(PERSON, pose, GRIPS), moves)[1]
-
-
-def pose_off_by(left: float, right: float) -> Pose:
-    """The true pose, its elbows swivelled away."""
-    start = on_device(TRUTH)
-    moves = jnp.zeros((2, 4)).at[:, 0].set(jnp.array([left, right], jnp.float32))
-    return start._replace(angles=start.angles.at[DOFS].set(_swung(start, moves)))
 
 
 @pytest.mark.parametrize("off", [(0.45, 0.0), (-0.3, -0.3), (0.25, -0.25)])

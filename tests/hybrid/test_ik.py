@@ -119,13 +119,7 @@ def test_a_step_is_the_references_in_double_precision(skeleton64, pose, seed, si
         chosen = IKSettings()
         arguments = (on_device(targets), on_device(weights), jnp.asarray(free))
         ours = step(skeleton64, chosen, on_device(pose), *arguments)
-        theirs = reference.ik_step(
-            plain(skeleton64),
-            reference.Goals(plain(five(skeleton64)), targets, weights),
-            chosen,
-            pose,
-            free,
-        )
+        theirs = reference_step(skeleton64, chosen, pose, targets, weights, free)
     compared(ours, theirs, 1e-9)
 
 

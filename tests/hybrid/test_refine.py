@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from watched_arms import (
+    DOFS,
     FRONT,
-    GRIPS,
     MODEL,
     PERSON,
     SIDE,
@@ -24,12 +24,14 @@ from watched_arms import (
     elbow_errors,
     observed,
     pictures,
+    pose_off_by,
     stacked,
+    swung,
     true_arms,
     turned_by,
 )
 
-from jaxmocap.body.arms import arm_dofs, arms_of, hang, swing
+from jaxmocap.body.arms import arms_of
 from jaxmocap.body.kinematics import Sites, forward
 from jaxmocap.body.model import Model
 from jaxmocap.evidence.edges import EdgeFields
@@ -43,13 +45,6 @@ from jaxmocap.reference.hybrid import pipeline as reference
 
 CAMERAS, BOTH = stacked(FRONT), stacked(FRONT, SIDE)
 ALONE = Settings(region=SIZE, search=False)
-DOFS = arm_dofs(PERSON.tree)
-
-
-@jax.jit
-def swung(pose, moves):
-    """Arms of a pose, bent and swung, and their joint angles."""
-    return swing(hang(PERSON, pose, GRIPS), moves)
 
 
 @jax.jit
@@ -63,13 +58,6 @@ def near_searched(cameras, fields, pose, targets, elbows):
     """Near the elbows that a search has found."""
     model, chosen = replace(MODEL, cameras=cameras), Settings(region=SIZE)
     return refine_arms(model, chosen, fields, pose, targets, elbows)
-
-
-def pose_off_by(left: float, right: float):
-    """The true pose, its elbows swivelled away by joint angles."""
-    moves = jnp.zeros((2, 4)).at[:, 0].set(jnp.array([left, right]))
-    start = on_device(TRUTH)
-    return start._replace(angles=start.angles.at[DOFS].set(swung(start, moves)[1]))
 
 
 def refined(pose, images=None, cameras=CAMERAS, way=alone, fields=None):

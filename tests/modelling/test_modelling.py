@@ -20,11 +20,7 @@ from jaxmocap.silhouette.modelling.pictures.views import PhotographView
 from jaxmocap.silhouette.modelling.readings import PAPER, spline_ring, superellipse_ring
 from jaxmocap.silhouette.modelling.separation import find_landmarks
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
-from jaxmocap.synthetic.photographs import (
-    PHOTOGRAPHS,
-    camera_of,
-    person_in_stance,
-)
+from jaxmocap.synthetic.photographs import PHOTOGRAPHS, camera_of, person_in_stance
 
 
 def blank():

@@ -16,23 +16,12 @@ from jaxmocap.synthetic.photographs import (
     backdrop,
     camera_of,
     person_in_stance,
-    write_photographs,
 )
 
 
 @pytest.fixture(scope="module")
-def rig(recordings):
-    return load_rig(recordings / "person" / "person.npz", "slim_woman")
-
-
-@pytest.fixture(scope="module")
-def shots(rig, tmp_path_factory):
-    return write_photographs(tmp_path_factory.mktemp("photographs"), rig)
-
-
-@pytest.fixture(scope="module")
 def front(shots):
-    return cv2.imread(str(shots.parent / "front.png"))
+    return cv2.imread(str(shots / "front.png"))
 
 
 def painted(radius=150, colour=(60, 60, 200)):
@@ -42,13 +31,13 @@ def painted(radius=150, colour=(60, 60, 200)):
     return image
 
 
-def test_the_four_photographs_have_their_sections_in_the_calibration(shots, rig):
-    cameras = read_calibration(shots)
+def test_the_four_photographs_have_their_sections_in_the_calibration(shots, slim_woman):
+    cameras = read_calibration(shots / "calibration.toml")
     assert list(cameras) == list(PHOTOGRAPHS)
     for name, camera in cameras.items():
-        image = cv2.imread(str(shots.parent / f"{name}.png"))
+        image = cv2.imread(str(shots / f"{name}.png"))
         assert image is not None and image.shape == (SIZE[1], SIZE[0], 3)
-        here = np.asarray(camera_of(rig, name).position_world)
+        here = np.asarray(camera_of(slim_woman, name).position_world)
         assert np.abs(np.asarray(camera.position_world) - here).max() < 1e-3
 
 
@@ -63,15 +52,15 @@ def test_everybody_fits_into_every_photograph_but_for_the_legs(recordings, name)
         assert pixels[:, 1].min() > 10 and pixels[:, 1].max() > SIZE[1]
 
 
-def test_a_section_of_the_trunk_is_as_wide_as_the_person_is_seen(rig):
+def test_a_section_of_the_trunk_is_as_wide_as_the_person_is_seen(slim_woman):
     body, lens = (
-        MeasuredPerson.of(person_in_stance(rig, "front")),
-        DrawingCamera.of(camera_of(rig, "front")),
+        MeasuredPerson.of(person_in_stance(slim_woman, "front")),
+        DrawingCamera.of(camera_of(slim_woman, "front")),
     )
     landmarks = body.landmarks()
     waist = (0.6 * landmarks["pelvis"] + 0.4 * landmarks["neck"])[2]
     row, column = np.rint(lens.pixels(np.array([0.0, 0.0, waist])))[::-1].astype(int)
-    line = true_person_mask(rig, "front")[row]
+    line = true_person_mask(slim_woman, "front")[row]
     left, right = (np.flatnonzero(~half)[0] for half in (line[column::-1], line[column:]))
     width = (left + right - 1) * lens.depths(np.zeros(3)) / lens.matrix[0, 0]
     assert abs(body.trunk(waist).width - width) < 0.006
@@ -88,15 +77,17 @@ def test_a_tape_goes_straight_over_hollows():
     assert tape_measure(kidney).girth < girth.girth
 
 
-def test_an_arm_is_measured_alike_however_it_is_held(rig):
-    lifted, bent = (MeasuredPerson.of(person_in_stance(rig, name)) for name in ("front", "joint"))
+def test_an_arm_is_measured_alike_however_it_is_held(slim_woman):
+    lifted, bent = (
+        MeasuredPerson.of(person_in_stance(slim_woman, name)) for name in ("front", "joint")
+    )
     for bone, at in (("humerus", 0.6), ("radius", 0.5)):
         a, b = (np.array(body.arm(bone, "l", at)) for body in (lifted, bent))
         assert np.abs(a - b).max() < 0.012
 
 
-def test_the_person_is_separated_from_the_sheet(front, rig):
-    mask, truth = person_mask(front), true_person_mask(rig, "front")
+def test_the_person_is_separated_from_the_sheet(front, slim_woman):
+    mask, truth = person_mask(front), true_person_mask(slim_woman, "front")
     assert (mask & truth).sum() / (mask | truth).sum() > 0.97
 
 

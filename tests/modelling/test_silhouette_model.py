@@ -16,18 +16,7 @@ from jaxmocap.cli.program import main
 from jaxmocap.formats.cameras.calibration import read_calibration, write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines.silhouettes.person import read_person
-from jaxmocap.synthetic.people.rigged_mesh import load_rig
-from jaxmocap.synthetic.photographs import PHOTOGRAPHS, person_in_stance, write_photographs
-
-
-@pytest.fixture(scope="module")
-def rig(recordings):
-    return load_rig(recordings / "person" / "person.npz", "slim_woman")
-
-
-@pytest.fixture(scope="module")
-def shots(rig, tmp_path_factory):
-    return write_photographs(tmp_path_factory.mktemp("photographs"), rig).parent
+from jaxmocap.synthetic.photographs import PHOTOGRAPHS, person_in_stance
 
 
 def read(path):
@@ -106,9 +95,9 @@ def test_other_commands_find_the_person_in_the_folder(made, tmp_path):
             read_person(tmp_path)
 
 
-def test_the_files_hold_the_person(made, rig):
+def test_the_files_hold_the_person(made, slim_woman):
     report = json.loads((made / "report.json").read_text(encoding="utf-8"))
-    body = MeasuredPerson.of(person_in_stance(rig, "front"))
+    body = MeasuredPerson.of(person_in_stance(slim_woman, "front"))
     truth = body.landmarks()
     for side in "lr":
         humerus = np.linalg.norm(truth[f"shoulder_{side}"] - truth[f"elbow_{side}"])

@@ -448,11 +448,6 @@ def test_a_motion_without_report_or_camera_can_be_viewed(tmp_path, motion):
     assert [file.name for file in tmp_path.iterdir()] == ["recording.rrd"]
 
 
-def test_the_viewer_library_loads_only_when_it_is_used():
-    code = "import sys, jaxmocap.outputs.viewer; sys.exit('rerun' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
 def test_the_report_tells_times_costs_and_statuses_and_has_null_for_nan(tmp_path, motion):
     path = tmp_path / "report.json"
     more = {"warnings": ["cropped"], "offset": float("nan")}

@@ -27,13 +27,7 @@ from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.report import plain, summarise, write_figures
 from jaxmocap.pipelines.batch import batch, cluster, corpus
-from jaxmocap.pipelines.batch.batch import (
-    Job,
-    jobs_of,
-    row_of,
-    track_corpus,
-    track_one,
-)
+from jaxmocap.pipelines.batch.batch import Job, jobs_of, row_of, track_corpus, track_one
 from jaxmocap.pipelines.batch.corpus import find_recordings, fingerprint, readable_inputs
 
 MARKERS_ONLY = Settings(refine="none")
@@ -203,8 +197,7 @@ def test_a_batch_into_its_own_inputs_is_refused_and_nothing_is_lost(recording, t
 
 
 @pytest.mark.parametrize(
-    "names",
-    [("walk.toml", "walk/run.toml"), ("Walk.toml", "walk.toml"), ("corpus.csv.toml",)],
+    "names", [("walk.toml", "walk/run.toml"), ("Walk.toml", "walk.toml"), ("corpus.csv.toml",)]
 )
 def test_recordings_whose_outputs_would_lie_in_one_another_are_refused(names, tmp_path, refusal):
     for name in names:

@@ -15,6 +15,7 @@ from small_recording import (
     image,
     small_recording,
     with_frames,
+    with_outlier_and_gap,
 )
 
 from jaxmocap.body.model import Model
@@ -123,12 +124,7 @@ def test_the_first_row_is_settled_already(tracked):
 
 
 def test_filters_are_reported():
-    recording = small_recording()
-    positions = recording.positions_world.copy()
-    positions[5, 1] += 0.4
-    positions[10:13, 2] = np.nan
-    wanted = Filters(hampel=True, gaps=0.06)
-    spoilt = replace(recording, positions_world=positions, filters=wanted)
+    spoilt = replace(with_outlier_and_gap(), filters=Filters(hampel=True, gaps=0.06))
     motion = track(spoilt, tracker=compiled())
     assert motion.report.settings["filters"]["on"] == {"hampel": True, "gaps": 0.06}
     assert samples_with(motion, "marker LWrist was an outlier") == [5]

@@ -79,10 +79,7 @@ def test_a_recording_without_markers_and_video_is_none(folder, tmp_path, refusal
         ("--at=-80,30,0", "left, right"),
         ("--lengths --once", "argument --once: not allowed with argument --lengths"),
         ("--at=0,0,0 --model-file=arms", "'arms' (choose from 'torso', 'legs', 'whole', "),
-        (
-            "--at=0,0,0 --model-file=legs --shoulders",
-            "--shoulders: the body has no joints of the ",
-        ),
+        ("--at=0,0,0 --model-file=legs --shoulders", "--shoulders: the body has no joints of the "),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_is_tracked(

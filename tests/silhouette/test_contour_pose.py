@@ -124,15 +124,21 @@ def test_a_known_pose_is_found_from_exact_and_from_noisy_outlines(number):
     assert there[0] < 0.05 and there[1] < 5e-4
 
 
+def between_lobes(tilt: list[float], degrees: float) -> tuple[np.ndarray, np.ndarray]:
+    """A pose (4, 4) at the origin, and a start turned about the object's axis."""
+    truth, start = np.eye(4), np.eye(4)
+    truth[:3, :3] = Rotation.from_euler("xyz", tilt).as_matrix()
+    start[:3, :3] = truth[:3, :3] @ Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    return truth, start
+
+
 @pytest.mark.parametrize(("depth", "degrees"), [(0.3, 30)])
 def test_low_pass_curves_lead_to_the_right_one_of_seven_lobes(depth, degrees):
     """The whole curve alone is caught with its lobes between others."""
     radii = 0.15 * (1 + depth * np.cos(7 * PHASES))
     height = 0.03 * np.sin(2 * PHASES)
     flower = np.stack([1.3 * radii * np.cos(PHASES), radii * np.sin(PHASES), height], 1)
-    truth, start = np.eye(4), np.eye(4)
-    truth[:3, :3] = Rotation.from_euler("xyz", [0.3, 0.4, 0]).as_matrix()
-    start[:3, :3] = truth[:3, :3] @ Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    truth, start = between_lobes([0.3, 0.4, 0], degrees)
     outlines = [
         np.asarray(project(each, on_device(flower @ truth[:3, :3].T))) for each in CAMERAS[:2]
     ]
@@ -270,9 +276,7 @@ def test_low_pass_surfaces_lead_to_the_right_one_of_seven_lobes():
     """A star of seven arms turned to between two of them; all frequencies stay there."""
     grid = ellipsoid(np.array([0.2, 0.15, 0.06]))
     grid[..., :2] *= (1 + 0.3 * np.cos(7 * 2 * np.pi * np.arange(60) / 60))[None, :, None]
-    truth, start = np.eye(4), np.eye(4)
-    truth[:3, :3] = Rotation.from_euler("xyz", [0.9, 0.6, 0]).as_matrix()
-    start[:3, :3] = truth[:3, :3] @ Rotation.from_euler("z", 30, degrees=True).as_matrix()
+    truth, start = between_lobes([0.9, 0.6, 0], 30)
     outlines = [drawn_outline(each, grid @ truth[:3, :3].T) for each in CAMERAS[:2]]
     each = Trial(RigidSurface(grid), outlines, truth, start)
     low, whole = (errors(CAMERAS[:2], each, how) for how in (USUAL, WHOLE))

@@ -364,9 +364,7 @@ def _outlines(skeleton, cameras):
     first = np.asarray(points.bones)[:, 0]
     x = np.asarray(POSED(frames, points))
     along = np.einsum(
-        "nij,nj->ni",
-        np.asarray(frames.R_world_bone)[first],
-        np.asarray(skeleton.directions)[first],
+        "nij,nj->ni", np.asarray(frames.R_world_bone)[first], np.asarray(skeleton.directions)[first]
     )
     lines = rays_to(cameras, on_device(x))
     across = np.cross(np.asarray(lines.directions), along)

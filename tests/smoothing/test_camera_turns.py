@@ -13,16 +13,7 @@ import pytest
 from conftest import on_device
 from hypothesis import given
 from hypothesis import strategies as st
-from painted_motion import (
-    CAMERAS,
-    MODEL,
-    PERSON,
-    SETTINGS,
-    disturbed,
-    elbow_errors,
-    problem,
-    views,
-)
+from painted_motion import CAMERAS, MODEL, PERSON, SETTINGS, disturbed, elbow_errors, problem, views
 
 from jaxmocap.geometry.cameras import project, to_camera, turned
 from jaxmocap.geometry.rotations import exp

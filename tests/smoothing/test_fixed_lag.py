@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import double, on_device
 from drawn_arms import SIZE
-from drawn_body import paint, room
+from drawn_body import paint, room, with_noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from painted_motion import (
@@ -26,7 +26,6 @@ from painted_motion import (
 )
 from scipy.linalg import block_diag
 
-from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract, unpack
 from jaxmocap.body.proportions import PROPORTIONS
@@ -68,21 +67,14 @@ TIMES = np.arange(COUNT) / RATE
 
 @cache
 def images() -> list[np.ndarray]:
-    """Of camera 0, with a sensor's noise."""
-    wall, rng = room(SIZE), np.random.default_rng(3)
-    poses = [Pose(*each) for each in zip(*truth(COUNT), strict=True)]
-    painted = [paint(CAMERAS[0], PERSON, pose, wall).image for pose in poses]
-    noise = [np.rint(rng.normal(0, 2, image.shape)) for image in painted]
-    return [
-        np.clip(image + each, 0, 255).astype(np.uint8)
-        for image, each in zip(painted, noise, strict=True)
-    ]
+    """Of camera 0."""
+    wall, poses = room(SIZE), [Pose(*each) for each in zip(*truth(COUNT), strict=True)]
+    return with_noise([paint(CAMERAS[0], PERSON, pose, wall).image for pose in poses], 3)
 
 
-@jax.jit
-def marked(pose: Pose) -> jax.Array:
+def marked(pose: Pose) -> np.ndarray:
     """Markers (M, 3)."""
-    return site_positions(PERSON, forward(PERSON, pose), MARKERS)
+    return np.asarray(places_of(jax.tree.map(lambda part: np.asarray(part)[None], pose)))[0]
 
 
 @cache
@@ -720,27 +712,22 @@ def test_corrections_fade_in_beside_the_markers():
         assert np.abs(moved.angles - unpack(pose).angles).max() > 0.1
 
 
+def off_moved_markers(by) -> np.ndarray:
+    """Distances (M,) from markers that lie elsewhere by so much, of a pose moved near them."""
+    pose = unpack(np.concatenate(at(truth(COUNT), 3)).astype(np.float32))
+    markers, still = marked(pose) + by, np.zeros(6 + PERSON.limits.shape[0], np.float32)
+    moved = jax.jit(moved_near_markers)(Model.create(PERSON, MARKERS), pose, still, markers)
+    return np.linalg.norm(marked(moved) - markers, axis=-1)
+
+
 def test_points_that_smoothing_takes_off_their_markers_come_back():
     """Two centimetres, which the motion prior would rather have than a fast turn."""
-    model = Model.create(PERSON, MARKERS)
-    pose = np.concatenate(at(truth(COUNT), 3)).astype(np.float32)
-    points = marked(unpack(pose))
-    markers = points + np.array([0.0, 0.0, -0.02])
-    still = np.zeros(6 + PERSON.limits.shape[0], np.float32)
-    moved = jax.jit(moved_near_markers)(model, unpack(pose), still, markers)
-    off = np.linalg.norm(marked(moved) - markers, axis=-1)
-    assert off.max() < STRAY_M + 1e-3
+    assert off_moved_markers(np.array([0.0, 0.0, -0.02])).max() < STRAY_M + 1e-3
 
 
 @pytest.mark.parametrize("away", [0.6, 0.9, 1.2])
 def test_a_hand_that_is_back_from_elsewhere_leaves_the_head_where_it_is(away):
-    model = Model.create(PERSON, MARKERS)
-    pose = unpack(np.concatenate(at(truth(COUNT), 3)).astype(np.float32))
-    points = np.asarray(marked(pose))
-    markers = points + np.array([[0.0, 0, 0], [0, 0, 0], [-0.2, 0.0, away]])
-    still = np.zeros(6 + PERSON.limits.shape[0], np.float32)
-    moved = jax.jit(moved_near_markers)(model, pose, still, markers)
-    off = np.linalg.norm(marked(moved) - markers, axis=-1)
+    off = off_moved_markers(np.array([[0.0, 0, 0], [0, 0, 0], [-0.2, 0.0, away]]))
     assert off[:2].max() < 0.02 and off[2] < 0.7 * np.hypot(0.2, away)
 
 

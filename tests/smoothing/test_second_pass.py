@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from conftest import on_device
 from drawn_arms import SIZE
-from drawn_body import Painted, paint, room
+from drawn_body import Painted, paint, room, with_noise
 from painted_motion import (
     CAMERAS,
     ELBOWS,
@@ -20,12 +20,12 @@ from painted_motion import (
     PERSON,
     disturbed,
     first_pass,
+    places_of,
     points_of,
     pose_at,
 )  # fmt: skip
 from small_recording import PLACES
 
-from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
@@ -56,14 +56,11 @@ TIMES = np.arange(2 * FRAMES) * SAMPLE_S
 
 @cache
 def painted() -> list[Painted]:
-    """The frames, with the little noise of a sensor."""
-    wall, rng = room(SIZE), np.random.default_rng(1)
+    """The frames."""
+    wall = room(SIZE)
     frames = [paint(CAMERA, PERSON, pose_at(i * FRAME_S), wall) for i in range(FRAMES)]
-    noise = [np.rint(rng.normal(0, 2, frame.image.shape)) for frame in frames]
-    return [
-        frame._replace(image=np.clip(frame.image + each, 0, 255).astype(np.uint8))
-        for frame, each in zip(frames, noise, strict=True)
-    ]
+    images = with_noise([frame.image for frame in frames], 1)
+    return [frame._replace(image=image) for frame, image in zip(frames, images, strict=True)]
 
 
 def images() -> list[np.ndarray | None]:
@@ -80,8 +77,7 @@ def true_poses() -> Pose:
 @cache
 def markers_world() -> np.ndarray:
     """(E, M, 3) of head and wrists."""
-    over = jax.vmap(lambda pose: site_positions(PERSON, forward(PERSON, pose), MARKERS))
-    return np.asarray(over(on_device(true_poses())), float)
+    return np.asarray(places_of(on_device(true_poses())), float)
 
 
 MODEL, SETTINGS = Model.create(PERSON, MARKERS, CAMERA), SmoothingSettings()

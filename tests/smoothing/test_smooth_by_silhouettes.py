@@ -14,13 +14,13 @@ import pytest
 from conftest import double, in_double, on_device
 from painted_motion import (
     CAMERAS,
-    CELLS,
     MODEL,
     PERSON,
     RATE,
     SETTINGS,
     disturbed,
     elbow_errors,
+    limb_distances,
     measurements,
     problem,
     truth,
@@ -28,14 +28,12 @@ from painted_motion import (
 )
 
 import jaxmocap
-from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
-from jaxmocap.evidence.silhouettes import SilhouetteGrids, project_limbs
-from jaxmocap.geometry.outlines import Discs, touch
+from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.geometry.rotations import exp
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.images.silhouette_grid import blurred, cells
+from jaxmocap.images.silhouette_grid import blurred
 from jaxmocap.smoothing.functions import SOFTNESS, Events, SmoothMotion
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.settings import weighed_by_time
@@ -52,15 +50,6 @@ WAY = np.array([1.0, -0.7, 0.4, 0.8, -0.3, 0.6])
 smooth = jax.jit(jaxmocap.smooth)
 
 
-@jax.jit
-def second_nearest(pose, camera, grids):
-    """Distance (S, S) of each cell to the limb that is second nearest to it."""
-    _, discs, _ = project_limbs(PERSON, forward(PERSON, pose), camera, grids)
-    each = Discs(*(part[:, None] for part in discs))
-    distances = touch(each, *cells(CELLS, discs.near.dtype)).distance
-    return jnp.sort(distances, 0)[1].reshape(CELLS, CELLS)
-
-
 @cache
 def silhouettes(untied: bool = False) -> SilhouetteGrids:
     """Of both cameras (T, C, ...), with or without the cells in which limbs meet."""
@@ -73,7 +62,8 @@ def silhouettes(untied: bool = False) -> SilhouetteGrids:
     for view in np.ndindex(weight.shape[:2]):
         grids = on_device(jax.tree.map(lambda part, view=view: part[view], stacked))
         pose = on_device(Pose(*(part[view[0]] for part in truth(COUNT))))
-        weight[view] = np.asarray(second_nearest(pose, CAMERAS[view[1]], grids)) > APART
+        # Where the second nearest limb is well away.
+        weight[view] = np.asarray(limb_distances(pose, CAMERAS[view[1]], grids)[1]) > APART
     return stacked.each_grid(lambda grid: grid._replace(weight=weight))
 
 

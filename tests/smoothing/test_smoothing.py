@@ -225,8 +225,7 @@ ADRIFT = replace(
 )
 # With both feet held by markers, which are missing.
 MARKED_FEET = replace(
-    MODEL,
-    markers=joined_sites(MODEL.markers, landmark_sites(PERSON, ("ankle_l", "ankle_r"))),
+    MODEL, markers=joined_sites(MODEL.markers, landmark_sites(PERSON, ("ankle_l", "ankle_r")))
 )
 
 

@@ -10,12 +10,7 @@ import pytest
 from conftest import double
 
 from jaxmocap.evidence.smoothness import Smoothness, accelerations_of, smoothness
-from jaxmocap.smoothing.levenberg_marquardt import (
-    Linearised,
-    SolverSettings,
-    covariances,
-    minimise,
-)
+from jaxmocap.smoothing.levenberg_marquardt import Linearised, SolverSettings, covariances, minimise
 from jaxmocap.solvers.status import SENTENCES, Status
 
 EXACT = SolverSettings(iterations=400, relative=1e-13, step=1e-12, floor=0.0)

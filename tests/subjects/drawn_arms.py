@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+from drawn_body import contours
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
@@ -47,34 +48,14 @@ def limbs_of(skeleton: Skeleton, pose: Pose):
             yield near, far, np.asarray(skeleton.diameters[bone], float) / 2
 
 
-def outline_pixels(camera: Camera, near, far, radii) -> np.ndarray:
-    """Corners (N, 2) of a limb's silhouette: spheres along it, each seen as its contour circle."""
-    T = np.asarray(camera.T_cam_world, float)
-    turn = np.linspace(0, 2 * np.pi, 60)
-    points = []
-    for t in np.linspace(0, 1, 15):
-        centre = T[:3, :3] @ ((1 - t) * near + t * far) + T[:3, 3]
-        ray = centre / np.linalg.norm(centre)
-        across = np.cross(ray, [0.0, 1.0, 0.0])
-        across /= np.linalg.norm(across)
-        up = np.cross(ray, across)
-        radius = (1 - t) * radii[0] + t * radii[1]
-        points.append(
-            centre + radius * (np.outer(np.cos(turn), across) + np.outer(np.sin(turn), up))
-        )
-    pixels, _ = cv2.projectPoints(
-        np.concatenate(points), np.zeros(3), np.zeros(3), np.asarray(camera.matrix, float),
-        np.asarray(camera.distortion, float),
-    )  # fmt: skip
-    return pixels[:, 0]
-
-
 def draw(camera: Camera, limbs) -> np.ndarray:
     """A grey picture (480, 640), uint8, of limbs (near, far, radii) before a wall."""
     fine = 4
     image = np.full((SIZE[1] * fine, SIZE[0] * fine), WALL, np.uint8)
-    for limb in limbs:
-        corners = (outline_pixels(camera, *limb) + 0.5) * fine - 0.5
+    for near, far, radii in limbs:
+        share = np.linspace(0, 1, 15)[:, None]
+        spheres = near + share * (far - near), radii[0] + share[:, 0] * (radii[1] - radii[0])
+        corners = (np.concatenate(contours(camera, *spheres, 59)[1]) + 0.5) * fine - 0.5
         hull = cv2.convexHull(np.round(corners).astype(np.int32))
         cv2.fillConvexPoly(image, hull, SLEEVE)
     return cv2.resize(image, SIZE, interpolation=cv2.INTER_AREA)

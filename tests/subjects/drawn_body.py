@@ -43,14 +43,14 @@ def spheres(skeleton: Skeleton, pose: Pose):
             yield name, centres, ends[0] + share * (ends[1] - ends[0])
 
 
-def contours(camera: Camera, centres: np.ndarray, radii: np.ndarray):
+def contours(camera: Camera, centres: np.ndarray, radii: np.ndarray, count: int = 24):
     """Nearest depths (K,) of spheres, and pixels (K, N, 2) of the circles that they are seen as."""
     T = np.asarray(camera.T_cam_world, float)
     centres_cam = centres @ T[:3, :3].T + T[:3, 3]
     rays = centres_cam / np.linalg.norm(centres_cam, axis=1, keepdims=True)
     across = np.cross(rays, [0.0, 1.0, 0.0])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)[:, None]
+    turn = np.linspace(0, 2 * np.pi, count, endpoint=False)[:, None]
     circle = np.cos(turn) * across[:, None] + np.sin(turn) * np.cross(rays, across)[:, None]
     points = centres_cam[:, None] + radii[:, None, None] * circle
     lens = np.asarray(camera.matrix, float), np.asarray(camera.distortion, float)
@@ -80,6 +80,16 @@ def paint(camera: Camera, skeleton: Skeleton, pose: Pose, room: np.ndarray) -> P
         for each in (image, person, forearms)
     )
     return Painted(covered, *(share.astype(np.float32) / 255 for share in shares))
+
+
+def with_noise(images: list[np.ndarray], seed: int) -> list[np.ndarray]:
+    """Images as a sensor gives them, with its little noise."""
+    rng = np.random.default_rng(seed)
+    noise = [np.rint(rng.normal(0, 2, image.shape)) for image in images]
+    return [
+        np.clip(image + each, 0, 255).astype(np.uint8)
+        for image, each in zip(images, noise, strict=True)
+    ]
 
 
 def room(size: tuple[int, int], seed: int = 0) -> np.ndarray:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import cv2
 import jax
+import jax.numpy as jnp
 import numpy as np
 from conftest import on_device
 from drawn_arms import SIZE, arm_pose, camera_at
@@ -18,10 +19,12 @@ from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.capture.timeline import Timeline
 from jaxmocap.evidence.markers import MarkerPositions
-from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes
+from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes, project_limbs
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.outlines import Discs, touch
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.images.regions import Region
-from jaxmocap.images.silhouette_grid import Grid
+from jaxmocap.images.silhouette_grid import Grid, cells
 from jaxmocap.smoothing.problem import FirstPass, SmoothingProblem, Trajectory, Views
 from jaxmocap.smoothing.settings import SmoothingSettings
 
@@ -98,6 +101,15 @@ def elbow_errors(poses: Pose) -> np.ndarray:
     """Distances (T, 2) of the elbows from the truth, metres."""
     expected = points_of(truth(len(poses.angles)))
     return np.linalg.norm(points_of(poses) - expected, axis=-1)[:, ELBOWS]
+
+
+@jax.jit
+def limb_distances(pose: Pose, camera: Camera, grids: SilhouetteGrids) -> jax.Array:
+    """Distances (K, S, S), cells, of a grid's cells to the limbs, the nearest limb first."""
+    _, discs, _ = project_limbs(PERSON, forward(PERSON, pose), camera, grids)
+    each = Discs(*(part[:, None] for part in discs))
+    distances = touch(each, *cells(CELLS, discs.near.dtype)).distance
+    return jnp.sort(distances, 0).reshape(-1, CELLS, CELLS)
 
 
 @cache

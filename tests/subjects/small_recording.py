@@ -66,6 +66,14 @@ def small_recording() -> Recording:
     return Recording(Skeleton.human(HEIGHT), times, positions, places, (video,), "small")
 
 
+def with_outlier_and_gap() -> Recording:
+    """The small recording, one sample of a wrist far off, three of the other missing."""
+    recording = small_recording()
+    recording.positions_world[5, 1] += 0.4
+    recording.positions_world[10:13, 2] = np.nan
+    return recording
+
+
 def with_frames(recording: Recording, times: np.ndarray, images: list) -> Recording:
     """The recording with other frames in its one video."""
     return replace(recording, videos=(replace(recording.videos[0], frames=(times, images)),))

@@ -176,8 +176,4 @@ def slimevr_reset(yaw_degrees: float) -> bytes:
 
 def sample_tracker_sender(each: Device) -> list[bytes]:
     """A frame of the protocol's sample for one tracker: messages one by one, no time."""
-    return [
-        device(each),
-        message("/VMC/Ext/Blend/Val", "", 0.0),
-        message("/VMC/Ext/Blend/Apply"),
-    ]
+    return [device(each), message("/VMC/Ext/Blend/Val", "", 0.0), message("/VMC/Ext/Blend/Apply")]

@@ -6,9 +6,10 @@ import numpy as np
 from conftest import on_device
 from drawn_arms import arm_pose, camera_at, draw, limbs_of
 
-from jaxmocap.body.arms import arms_of
+from jaxmocap.body.arms import arm_dofs, arms_of, hang, swing
 from jaxmocap.body.kinematics import forward, landmark_sites
 from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.rotations import about_axis, compose, rotate
@@ -31,6 +32,7 @@ MARKERS = landmark_sites(PERSON, ("vertex", "wrist_l", "wrist_r"))
 # Without cameras: most tests have cameras of their own.
 MODEL = Model.create(PERSON, MARKERS)
 GRIPS = MODEL.grips
+DOFS = arm_dofs(PERSON.tree)
 
 
 def stacked(*cameras):
@@ -67,6 +69,19 @@ def true_arms():
 def turned_by(left, right):
     """The true arms, elbows swivelled away."""
     return swivelled(true_arms(), jnp.array([left, right], jnp.float32))
+
+
+@jax.jit
+def swung(pose, moves):
+    """Arms of a pose, bent and swung, and their joint angles."""
+    return swing(hang(PERSON, pose, GRIPS), moves)
+
+
+def pose_off_by(left: float, right: float) -> Pose:
+    """The true pose, its elbows swivelled away by joint angles."""
+    moves = jnp.zeros((2, 4)).at[:, 0].set(jnp.array([left, right], jnp.float32))
+    start = on_device(TRUTH)
+    return start._replace(angles=start.angles.at[DOFS].set(swung(start, moves)[1]))
 
 
 def elbow_errors(elbows) -> np.ndarray:

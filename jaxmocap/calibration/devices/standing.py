@@ -27,10 +27,7 @@ from jaxmocap.formats.recordings.marker_places import MarkerPlace
 
 Stance = Literal["t", "i"]
 # Joints of a stance that are not 0, degrees.
-STANCE_ANGLES_DEG: dict[Stance, dict[str, float]] = {
-    "t": T_POSE,
-    "i": {},
-}
+STANCE_ANGLES_DEG: dict[Stance, dict[str, float]] = {"t": T_POSE, "i": {}}
 # Height of the eyes by stature (Winter 2009, figure 4.1, after Drillis and Contini 1966).
 EYE_HEIGHT = 0.936
 # Statures that are believed, metres: beyond them the floor is not where the devices have it.
@@ -204,10 +201,7 @@ def _stature(places: Sequence[MarkerPlace], positions: np.ndarray) -> float | No
 
 
 def _arm_lengths(
-    places: Sequence[MarkerPlace],
-    positions: np.ndarray,
-    standing: _Stand,
-    warnings: list[str],
+    places: Sequence[MarkerPlace], positions: np.ndarray, standing: _Stand, warnings: list[str]
 ) -> dict[str, float]:
     """Lengths of the arms' bones by the distance between the hands, metres."""
     line = _left_of_hands(places, positions)

@@ -23,12 +23,7 @@ import numpy as np
 
 from jaxmocap.body.proportions import GIRTHS, LENGTHS, covariance_among_people
 from jaxmocap.smoothing.levenberg_marquardt import covariances
-from jaxmocap.smoothing.linearise import (
-    linearise_problem,
-    smooth_poses,
-    softened,
-    two_workers,
-)
+from jaxmocap.smoothing.linearise import linearise_problem, smooth_poses, softened, two_workers
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory
 from jaxmocap.smoothing.uncertainty import lasting_errors
 from jaxmocap.solvers.status import Status

@@ -77,9 +77,7 @@ def fit_person(model: Model, start: Pose, targets: Array) -> PersonFit:
     """
     first = unchanged(model), start
     (person, poses), cost = descend(
-        partial(_cost_of_all, model, targets),
-        partial(_joint_step, model, targets),
-        first,
+        partial(_cost_of_all, model, targets), partial(_joint_step, model, targets), first
     )
     undamped = jnp.zeros((), model.dtype)
     precision, _, _ = _shared_equations(model, targets, person, poses, undamped)

@@ -61,9 +61,11 @@ def fit_poses(model: Model, start: Pose, targets: Array, tails: Array | float) -
     """
 
     def one(pose: Pose, own: Array) -> PosesFit:
-        there, cost = descend(
-            partial(marker_cost, model, own, tails), partial(_step, model, own, tails), pose
-        )
+        def step(pose: Pose, damping: Array) -> Pose:
+            hessian, gradient = pose_equations(model, linearised(model, own, tails, pose), pose)
+            return retract(pose, -solved(damped(hessian, damping), gradient))
+
+        there, cost = descend(partial(marker_cost, model, own, tails), step, pose)
         off = jnp.sqrt(jnp.sum(_off(model, forward(model.skeleton, there), own) ** 2, -1))
         distances = jnp.where(are_present(own), off, jnp.nan)
         return PosesFit(there, cost, distances)
@@ -145,11 +147,6 @@ def pose_equations(model: Model, linear: LinearMarkers, pose: Pose) -> tuple[Arr
 def damped(hessian: Array, damping: Array) -> Array:
     """With its diagonal (N,) made larger by a share."""
     return hessian + damping * jnp.diag(jnp.diag(hessian))
-
-
-def _step(model: Model, targets: Array, tails: Array | float, pose: Pose, damping: Array) -> Pose:
-    hessian, gradient = pose_equations(model, linearised(model, targets, tails, pose), pose)
-    return retract(pose, -solved(damped(hessian, damping), gradient))
 
 
 def solved(hessian: Array, right: Array) -> Array:

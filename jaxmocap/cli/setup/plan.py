@@ -6,14 +6,7 @@ expected deviations, as text, picture and figures.
 
 import argparse
 
-from jaxmocap.cli.command import (
-    files_read,
-    finite_number,
-    names,
-    numbers,
-    positive_number,
-    report,
-)
+from jaxmocap.cli.command import files_read, finite_number, names, numbers, positive_number, report
 from jaxmocap.cli.command import positive_whole_number as whole
 
 PURPOSE = "find where to put the camera"

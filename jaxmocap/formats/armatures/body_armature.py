@@ -194,9 +194,7 @@ def _skeleton_of(
     if not 0.5 <= height <= 2.5:
         raise InputError(path, f"bones of a person {height:.2f} m tall, expected 0.5 to 2.5 m")
     return replace(
-        Skeleton.human(height),
-        lengths=on_device(lengths),
-        directions=on_device(directions),
+        Skeleton.human(height), lengths=on_device(lengths), directions=on_device(directions)
     )
 
 

@@ -119,20 +119,14 @@ def leg() -> Limb:
 
 def _ankles(angles: np.ndarray) -> np.ndarray:
     """The ankle (K, 3) in the thigh by ``knee_angle``; straight on beyond the model's range."""
-    turn_3, turn_2, shift_2, shift_3 = (
-        _spline(values, angles)
-        for values in (_KNEE_TURNS_3, _KNEE_TURNS_2, _KNEE_SHIFTS_2, _KNEE_SHIFTS_3)
-    )
+    tables = _KNEE_TURNS_3, _KNEE_TURNS_2, _KNEE_SHIFTS_2, _KNEE_SHIFTS_3
+    spline = CubicSpline(_KNEE_ANGLES, tables, axis=1)
+    within = np.clip(angles, _KNEE_ANGLES[0], _KNEE_ANGLES[-1])
+    turn_3, turn_2, shift_2, shift_3 = spline(within) + spline(within, 1) * (angles - within)
     joint = Rotation.from_euler("XYZ", _KNEE_TURN)
     turn = joint * Rotation.from_euler("XZY", np.stack([angles, turn_3, turn_2], -1)) * joint.inv()
     shifts = joint.apply(np.stack([np.zeros(len(angles)), shift_2, shift_3], -1))
     return _KNEE_IN_FEMUR + shifts + turn.apply(_ANKLE_IN_TIBIA - _KNEE_IN_TIBIA)
-
-
-def _spline(values: tuple[float, ...], angles: np.ndarray) -> np.ndarray:
-    spline = CubicSpline(_KNEE_ANGLES, values)
-    within = np.clip(angles, _KNEE_ANGLES[0], _KNEE_ANGLES[-1])
-    return spline(within) + spline(within, 1) * (angles - within)
 
 
 @cache

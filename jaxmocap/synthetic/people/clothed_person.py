@@ -173,7 +173,10 @@ class _PersonMesh:
                 centres, radii = _capped(centres, radii, end)
         sides = sides * self.detail
         swell = 1 + folds * waves(self.rng, len(centres), sides)
-        vertices = loft(centres, radii, _across(reach), sides, swell=swell)
+        # A limb is upright at rest.
+        forward = np.array([1.0, 0.0, 0.0])
+        across = forward, np.cross(reach / np.linalg.norm(reach), forward)
+        vertices = loft(centres, radii, across, sides, swell=swell)
         return self._painted(vertices, len(centres), sides, colour, i, 0.05 + 2 * folds)
 
     def _trunk(self) -> list[QuadMesh]:
@@ -271,12 +274,6 @@ class _PersonMesh:
         bones = np.full((len(vertices), 2), bone)
         weights = np.tile([1.0, 0.0], (len(vertices), 1))
         return QuadMesh(vertices, grid_faces(rings, sides), colours, bones, weights)
-
-
-def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two directions across a limb that is upright at rest: forward first, then to the side."""
-    forward = np.array([1.0, 0.0, 0.0])
-    return forward, np.cross(axis / np.linalg.norm(axis), forward)
 
 
 def _capped(centres: np.ndarray, radii: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:

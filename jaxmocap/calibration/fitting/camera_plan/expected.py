@@ -110,10 +110,8 @@ def with_camera(
         rows = _view_rows(skeleton, settings.silhouettes, camera, pose)
         return sum((jnp.matmul(J.T, J, precision=HIGHEST) for J in rows), jnp.zeros(()))
 
-    def of_stretch(poses: Pose) -> Array:
-        return jax.lax.map(jax.checkpoint(of_view), poses)
-
-    views = jax.lax.map(of_stretch, information.poses)
+    of_moment = jax.checkpoint(of_view)
+    views = jax.lax.map(lambda stretch: jax.lax.map(of_moment, stretch), information.poses)
     return information._replace(hessian=information.hessian + weight * views)
 
 
