@@ -6,7 +6,7 @@ INPUTS: what a step of a tracker measured and found. OUTPUTS: WindowEvents; what
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import numpy as np
@@ -150,14 +150,14 @@ def new_events(
             for camera, frame, _ in event.frames:
                 shown[row, camera] = True
                 jax.tree.map(partial(_put, (row, camera)), grids, frame.grids)
-    stacked, beside = (
-        jax.tree.map(lambda *parts: np.stack(parts)[rows], *each) if each else None
-        for each in (measured, lines)
-    )
+
+    def stacked(each: Sequence[Any]) -> Any:
+        return jax.tree.map(lambda *parts: np.stack(parts)[rows], *each)
+
     return EventArrays(
         np.int32(len(events)), np.asarray(since, dtype)[rows],
         np.stack([np.concatenate(event.pose) for event in events]).astype(dtype)[rows],
-        stacked, shown, grids, beside,
+        stacked(measured), shown, grids, stacked(lines) if lines else None,
     )  # fmt: skip
 
 
