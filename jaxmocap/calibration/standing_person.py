@@ -31,6 +31,10 @@ USUAL_HEIGHT_M, HEIGHT_DEVIATION_M = 1.3, 0.4
 USUAL_PITCH, PITCH_DEVIATION = 0.05, 0.15
 # Frames that are looked at, and how few will not do.
 MOST_FRAMES, FEWEST_FRAMES = 60, 3
+# Somebody is upright whose hip and ankle are so far apart, as a share of thigh and shank, and whose
+# trunk is in line with the legs within so much, radians.
+STRAIGHT, IN_LINE = 0.97, np.radians(20)
+PARTS = {f"{part}_{side}" for part in (*PAIRS, "knee") for side in "lr"}
 # How far away people are, metres.
 NEAREST_M, FARTHEST_M = 0.8, 30.0
 
@@ -57,13 +61,26 @@ def camera_by_person(
     pixels_xy: np.ndarray,
     confidences: np.ndarray,
     skeleton: Skeleton,
+    joints_cam: np.ndarray | None = None,
 ) -> StandingCamera | None:
-    """The height and pitch that suit somebody who mostly stands upright, by P named landmarks.
+    """The height and pitch that suit somebody who mostly stands upright.
 
-    Pixels are (F, P, 2), confidences (F, P), 0 where missing. None where hardly any frame has hips,
-    shoulders and ankles.
+    Args:
+        camera: whose lens counts.
+        names: of P landmarks.
+        pixels_xy: (F, P, 2).
+        confidences: (F, P); 0 where missing.
+        skeleton: of the person.
+        joints_cam: (F, P, 3) where the detector has the landmarks, camera's axes, metres: frames
+            whose legs are bent, or whose trunk is, are left out.
+
+    Returns:
+        The camera; None where hardly any frame shows hips, shoulders and ankles of somebody
+        upright.
     """
     slopes = _slopes(camera, names, pixels_xy, confidences)
+    if joints_cam is not None and set(names) >= PARTS:
+        slopes = np.where(_are_upright(names, joints_cam)[:, None], slopes, np.nan)
     whole = np.flatnonzero(np.isfinite(slopes).all(1))
     if len(whole) < FEWEST_FRAMES:
         return None
@@ -95,6 +112,21 @@ def camera_by_person(
     covariance = np.linalg.pinv(solved.jac.T @ solved.jac)
     height, pitch = solved.x[:2]
     return StandingCamera(float(height), float(pitch), np.sqrt(np.diag(covariance)[:2]))
+
+
+def _are_upright(names: tuple[str, ...], joints_cam: np.ndarray) -> np.ndarray:
+    """(F,) bool: whether a leg is straight, and the trunk in line with the legs."""
+    at = {name: joints_cam[:, names.index(name)] for name in PARTS}
+    straight, trunk, legs = np.zeros(len(joints_cam)), 0.0, 0.0
+    for side in "lr":
+        shoulder, hip, knee, ankle = (
+            at[f"{part}_{side}"] for part in ("shoulder", "hip", "knee", "ankle")
+        )
+        along = np.linalg.norm(hip - knee, axis=-1) + np.linalg.norm(knee - ankle, axis=-1)
+        straight = np.fmax(straight, np.linalg.norm(hip - ankle, axis=-1) / along)
+        trunk, legs = trunk + shoulder - hip, legs + hip - ankle
+    lengths = np.linalg.norm(trunk, axis=-1) * np.linalg.norm(legs, axis=-1)
+    return (straight > STRAIGHT) & (np.sum(trunk * legs, -1) > np.cos(IN_LINE) * lengths)
 
 
 def _slopes(

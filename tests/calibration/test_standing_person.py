@@ -47,6 +47,35 @@ def test_who_bends_in_some_frames_hardly_matters():
     assert found is not None and found.height == pytest.approx(1.5, abs=0.2)
 
 
+@pytest.mark.parametrize("bent", ["knee", "hip"])
+def test_frames_of_who_squats_or_bows_are_left_out_where_joints_tell(bent):
+    """Most of them: by the pixels alone the camera would be elsewhere, and seem sure."""
+    place = StandingCamera(1.3, np.radians(5.0), np.zeros(2))
+    body, rows = relaxed_pose(PERSON), landmark_rows(NAMES)
+    angles, joints = np.array(body.angles), PERSON.tree.joints
+    for side in "lr":
+        angles[joints.index(f"hip_flexion_{side}")] = 1.2
+        angles[joints.index(f"knee_flexion_{side}")] = {"knee": 1.8, "hip": 0.1}[bent]
+    upright, low = (
+        np.array(landmarks(PERSON, pose))[rows]
+        for pose in (body, body._replace(angles=jnp.asarray(angles, body.angles.dtype)))
+    )
+    points = np.stack([upright, low, low, low, low])[np.arange(30) % 5]
+    points[..., 2] += ANKLE_M - points[:, [NAMES.index("ankle_l")], 2]
+    points[..., 0] += np.linspace(3, 6, 30)[:, None]
+    camera = place.placed(LENS)
+    pixels, sure = np.asarray(project(camera, jnp.asarray(points))), np.ones(points.shape[:2])
+    seen = np.asarray(points @ np.asarray(camera.T_cam_world)[:3, :3].T, float)
+    found = camera_by_person(LENS, NAMES, pixels, sure, PERSON, seen)
+    alone = camera_by_person(LENS, NAMES, pixels, sure, PERSON)
+    assert found is not None and alone is not None
+    assert found.height == pytest.approx(1.3, abs=0.1)
+    assert np.degrees(found.pitch) == pytest.approx(5.0, abs=1.5)
+    assert abs(alone.height - 1.3) > 0.3
+    nobody = camera_by_person(LENS, NAMES, pixels[1:5], sure[1:5], PERSON, seen[1:5])
+    assert nobody is None
+
+
 def test_who_is_hardly_seen_places_no_camera():
     pixels = walked(StandingCamera(1.5, 0.1, np.zeros(2)))
     sure = np.ones(pixels.shape[:2])

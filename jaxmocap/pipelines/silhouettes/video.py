@@ -111,12 +111,14 @@ def _place(
     detections = open_keypoints(source, open_video(source))
     assert detections is not None
     person = follow_person(detections)
+    joints = None if person.joints_cam is None else person.joints_cam[:, 0]
     place = camera_by_person(
-        lens, person.landmarks, person.pixels_xy[:, 0], person.confidences[:, 0], skeleton
+        lens, person.landmarks, person.pixels_xy[:, 0], person.confidences[:, 0], skeleton, joints
     )
     if place is None:
         taken = f"a level camera {SOMEWHERE.height:g} m above the floor was taken"
-        return SOMEWHERE, [f"hardly any frame shows hips, shoulders and ankles: {taken}"]
+        upright = "hips, shoulders and ankles of somebody upright"
+        return SOMEWHERE, [f"hardly any frame shows {upright}: {taken}"]
     height, pitch = place.deviations
     found = (
         f"by the person the camera is {place.height:.2f} ± {height:.2f} m above the floor "
