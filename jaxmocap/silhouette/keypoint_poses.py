@@ -151,7 +151,7 @@ def _cheapest_poses(
     Returns:
         Poses (R, ...), their costs (R,), and the lines (T, ...) with sides swapped where they were.
     """
-    tried = [lines] if lines.confidences.shape[1] > 1 else [lines, sides_swapped(lines)]
+    tried = [lines] if lines.confidences.shape[1] > 1 else [lines, swap_sides(lines)]
     call, minima = partial(_minima, settings.terms, model), []
     for number, each in enumerate(tried):
         some = jax.tree.map(lambda part: part[rows], measurements(each))
@@ -173,7 +173,7 @@ def _cheapest_poses(
     return poses, costs[own, chosen], lines
 
 
-def sides_swapped(lines: SightLines) -> SightLines:
+def swap_sides(lines: SightLines) -> SightLines:
     """Lines (T, ...) with left taken for right."""
     rows = other_side(LANDMARKS)
     directions, sure, depths = (np.asarray(part)[:, :, rows] for part in lines[1:])

@@ -221,7 +221,8 @@ class FixedLagSmoother:
                     "markers": markers, "upright": there.upright, "facing": facing.astype(dtype),
                     "ankles": there.ankles, "elbows": self._no_goals,
                 })  # fmt: skip
-                lines += [] if step.lines is None else [step.lines]
+                if step.lines is not None:
+                    lines.append(jax.tree.map(lambda part: np.asarray(part, dtype), step.lines))
                 frames = self._frames(step.images, there.pose)
                 events.append(WindowEvent(step.number, step.time, markers, there.pose, frames))
             update_frames_markers(events, self._samples)

@@ -74,7 +74,7 @@ class Detections:
     def _taken(
         self, numbers: np.ndarray, take: Callable[[np.ndarray, float], np.ndarray]
     ) -> "Detections":
-        """With what a function takes of each array; it is told what stands for a missing point."""
+        """With what a function takes of each array and of what stands for a missing point."""
         joints = self.joints_cam
         return replace(
             self,
