@@ -276,7 +276,9 @@ def _write_key_points(folder: Path) -> None:
         flat = np.concatenate([points, np.full((25, 1), 0.9)], 1).ravel().tolist()
         path = folder / "keypoints" / f"cam_{i:06d}_keypoints.json"
         path.write_text(json.dumps({"version": 1.3, "people": [{"pose_keypoints_2d": flat}]}))
+        joints = rng.normal(0, 0.5, (25, 3)).round(3).tolist()
         person = {"keypoints": points.tolist(), "keypoint_scores": [0.9] * 25}
+        person["keypoints_3d"] = joints
         frames.append({"frame_id": i, "instances": [person]})
     (folder / "list.json").write_text(json.dumps(frames))
     (folder / "nobody.json").write_text('{"people": []}')
