@@ -103,17 +103,26 @@ def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: floa
     is_predicted = np.isfinite(predicted_xy).all(-1)
     if not is_predicted.any() or not len(pixels_xy):
         return -1
+    costs = _off(pixels_xy, predicted_xy, gate_px)
+    best = int(costs.argmin())
+    return best if np.isfinite(costs[best]) else -1
+
+
+def _off(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: float) -> np.ndarray:
+    """(N,) mean distances of people (N, P, 2) from what is predicted, infinite for strangers."""
+    is_predicted = np.isfinite(predicted_xy).all(-1)
     distances = np.linalg.norm(pixels_xy[:, is_predicted] - predicted_xy[is_predicted], axis=-1)
     # NaN, a point that was not detected, is never near.
     near = distances <= gate_px
     costs = np.where(near, distances, gate_px).mean(-1)
     costs[near.sum(-1) < min(2, is_predicted.sum())] = np.inf
-    best = int(costs.argmin())
-    return best if np.isfinite(costs[best]) else -1
+    return costs
 
 
 def select_person(keypoints: Detections, camera: Camera, points_world: np.ndarray) -> Detections:
     """The tracked person's detections among everybody's, frame by frame.
+
+    Where left and right fit what is predicted much better the other way round, they are swapped.
 
     Args:
         keypoints: of F frames.
@@ -128,11 +137,17 @@ def select_person(keypoints: Detections, camera: Camera, points_world: np.ndarra
     depths = np.where(depths > NEAREST_M, depths, np.nan)
     predicted_xy = project(on_host(camera), np.asarray(points_world, float))
     predicted_xy[np.isnan(depths)] = np.nan
-    chosen = np.full(len(depths), -1)
+    chosen, sides = np.full(len(depths), -1), other_side(keypoints.landmarks)
+    is_swapped = np.zeros(len(depths), bool)
     for frame in np.flatnonzero(np.isfinite(depths).any(-1)):
         gate_px = PERSON_GATE_M * float(pixels_per_metre(camera, np.nanmedian(depths[frame])))
-        chosen[frame] = choose_person(keypoints.pixels_xy[frame], predicted_xy[frame], gate_px)
-    return keypoints.of_people(chosen)
+        people, predicted = keypoints.pixels_xy[frame], predicted_xy[frame]
+        both = [_off(each, predicted, gate_px) for each in (people, people[:, sides])]
+        own, other = (min(float(costs.min()), gate_px) for costs in both)
+        is_swapped[frame] = own > gate_px / 2 and other < own / 2
+        costs = both[int(is_swapped[frame])]
+        chosen[frame] = costs.argmin() if np.isfinite(costs.min()) else -1
+    return keypoints.of_people(chosen).swap_sides(is_swapped)
 
 
 def follow_person(keypoints: Detections, first_xy: np.ndarray | None = None) -> Detections:

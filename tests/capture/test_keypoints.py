@@ -498,6 +498,25 @@ def test_markers_on_landmarks_say_who_is_tracked():
     assert confidences.tolist() == [[0.8] * 6, [0.8] * 6, [0.0] * 6]
 
 
+def test_left_that_was_taken_for_right_is_turned_back_by_the_hands():
+    """Where they are apart; and never by a small difference."""
+    landmarks = ("wrist_l", "wrist_r", "hip_l", "hip_r")
+    apart, together = (
+        np.array([[0.0, side * y, z] for y, z in ((reach, 1.2), (0.1, 0.9)) for side in (1, -1)])
+        for reach in (0.4, 0.03)
+    )
+    there = np.stack([apart, apart, together])
+    pixels = np.array(project(CAMERA, jnp.asarray(there, float)))
+    pixels[1:] = pixels[1:][:, [1, 0, 3, 2]]
+    people = Detections(np.arange(3), landmarks, pixels[:, None], np.full((3, 1, 4), 0.8))
+    hands = there.copy()
+    hands[:, 2:] = np.nan
+    chosen = select_person(people, CAMERA, hands)
+    np.testing.assert_array_equal(chosen.pixels_xy[:2, 0], [pixels[0], pixels[1, [1, 0, 3, 2]]])
+    np.testing.assert_array_equal(chosen.pixels_xy[2, 0], pixels[2])
+    assert (chosen.confidences == 0.8).all()
+
+
 def test_what_lies_behind_the_camera_predicts_nothing():
     # Both wrists behind the camera, then the left one only: the right one is all that is predicted.
     predicted = np.tile(np.array([6.0, 1.2, 1.3]), (2, 2, 1))

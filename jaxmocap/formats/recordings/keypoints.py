@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxmocap.body.skeleton import other_side
 from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.reading import regular_file
 from jaxmocap.formats.recordings.keypoint_files import (
@@ -70,6 +71,17 @@ class Detections:
         return self._taken(
             self.numbers, lambda part, none: _rows(part[frames, people][:, None], rows, none)
         )
+
+    def swap_sides(self, frames: np.ndarray) -> "Detections":
+        """With left taken for right in some frames, (F,) bool."""
+        sides = other_side(self.landmarks)
+
+        def swapped(part: np.ndarray, _: float) -> np.ndarray:
+            part = part.copy()
+            part[frames] = part[frames][:, :, sides]
+            return part
+
+        return self._taken(self.numbers, swapped)
 
     def _taken(
         self, numbers: np.ndarray, take: Callable[[np.ndarray, float], np.ndarray]
