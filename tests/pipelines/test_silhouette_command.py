@@ -1,6 +1,8 @@
 """``silhouette track`` and ``silhouette demo``: bad input is one clear sentence and exit code 2."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -145,6 +147,29 @@ def test_a_recording_that_shows_nobody_is_refused(folder):
             recording, start, settings, passes=1, progress=lambda n, of: progress.append((n, of))
         )
     assert progress == [(1, 3), (2, 3), (3, 3)]
+
+
+@pytest.mark.parametrize(
+    ("by_points", "lengths", "expected"), [(True, False, 1), (True, True, 3), (False, False, 3)]
+)
+def test_one_camera_with_key_points_has_one_pass_unless_lengths_are_corrected(
+    folder, monkeypatch, by_points, lengths, expected
+):
+    class AskedError(Exception):
+        """Instead of passes."""
+
+    def ask(*given):
+        raise AskedError(given[5])
+
+    recording = Recording.load(folder / "recording.toml")
+    start = standing_pose_at(with_joints(recording.skeleton, Settings.body), 0.0, 0.0, 0.0)
+    recording = replace(recording, videos=recording.videos[:1])
+    guide = SimpleNamespace(warnings=(), skeleton=recording.skeleton) if by_points else None
+    monkeypatch.setattr(track, "keypoint_guide", lambda *_: guide)
+    monkeypatch.setattr(track, "run_passes", ask)
+    with pytest.raises(AskedError) as asked:
+        track.track_silhouettes(recording, start, lengths=lengths)
+    assert asked.value.args == (expected,)
 
 
 @pytest.mark.parametrize(

@@ -145,7 +145,8 @@ def track_silhouettes(
         passes: in 1 the backgrounds are what its frames so far showed, and the shape is generic;
             2 learn both first; 3 once more, the shape with the learned backgrounds. Limbs that
             explain more where the pass before found them are taken from it. None is 3; or 1 by
-            one camera with key points, where more find no better poses.
+            one camera with key points, where more find no better poses, unless they are to correct
+            lengths.
         markers: follow them too; without it they are ignored.
         surface: of the person's own model, around the recording's skeleton; without it a generic
             one, whose shape the passes correct.
@@ -164,7 +165,8 @@ def track_silhouettes(
     recording, footage, warnings = _open(recording, settings, markers, start, surface)
     guide = footage.guide
     if passes is None:
-        passes = 1 if guide is not None and len(recording.videos) == 1 else 3
+        by_points = guide is not None and len(recording.videos) == 1
+        passes = 1 if by_points and not lengths else 3
     tracker = make_silhouette_tracker(recording, settings, markers, surface)
     if start is None:
         if guide is None:
