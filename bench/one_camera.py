@@ -80,8 +80,8 @@ def ours(
         alone = replace(recording, videos=(source,), places=(), positions_world=none)
         detector = mediapipe_detector(options.detector_python)
         (detected,) = detect_keypoints(alone, detector, Path(folder))
-        seen = replace(alone, videos=(replace(source, keypoints=detected.file),))
-        motion = track_silhouettes(seen, passes=options.passes).motion
+        with_points = replace(alone, videos=(replace(source, keypoints=detected.file),))
+        motion = track_silhouettes(with_points, passes=options.passes).motion
     joints, truth = motion.joints(), _truth(clip, motion.times)
     found = np.stack([joints[each] for each in NUMBERS], 1)
     off = errors(found, truth)

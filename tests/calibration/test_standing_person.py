@@ -65,14 +65,14 @@ def test_frames_of_who_squats_or_bows_are_left_out_where_joints_tell(bent):
     points[..., 0] += np.linspace(3, 6, 30)[:, None]
     camera = place.placed(LENS)
     pixels, sure = np.asarray(project(camera, jnp.asarray(points))), np.ones(points.shape[:2])
-    seen = np.asarray(points @ np.asarray(camera.T_cam_world)[:3, :3].T, float)
-    found = camera_by_person(LENS, NAMES, pixels, sure, PERSON, seen)
+    joints_cam = np.asarray(points @ np.asarray(camera.T_cam_world)[:3, :3].T, float)
+    found = camera_by_person(LENS, NAMES, pixels, sure, PERSON, joints_cam)
     alone = camera_by_person(LENS, NAMES, pixels, sure, PERSON)
     assert found is not None and alone is not None
     assert found.height == pytest.approx(1.3, abs=0.1)
     assert np.degrees(found.pitch) == pytest.approx(5.0, abs=1.5)
     assert abs(alone.height - 1.3) > 0.3
-    nobody = camera_by_person(LENS, NAMES, pixels[1:5], sure[1:5], PERSON, seen[1:5])
+    nobody = camera_by_person(LENS, NAMES, pixels[1:5], sure[1:5], PERSON, joints_cam[1:5])
     assert nobody is None
 
 

@@ -142,8 +142,8 @@ def _solved(
     is_due = can_search & (searched >= SEARCH_EVERY)
 
     def search() -> tuple[Array, Array, Array]:
-        seen = jax.tree.map(lambda part: part[newest], (events.grids, events.lines))
-        found = search_arms(model, settings, unpack(events.poses[newest]), shown, *seen)
+        evidence = jax.tree.map(lambda part: part[newest], (events.grids, events.lines))
+        found = search_arms(model, settings, unpack(events.poses[newest]), shown, *evidence)
         is_tried = (found.gain >= RIVAL_GAIN) & (found.away >= RIVAL_M)
         return is_tried, found.spread, with_arm_there(model, events.poses, found)
 

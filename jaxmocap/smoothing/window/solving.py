@@ -224,13 +224,13 @@ def _drawn_again(
         def there() -> Drawn:
             grids = jax.tree.map(lambda part: part[i], events.grids)
             shown, pose = jnp.asarray(events.shown)[i], unpack(poses[i])
-            seen = silhouettes_fit(model, settings.silhouettes, pose, shown, grids, soft)[:3]
+            parts = silhouettes_fit(model, settings.silhouettes, pose, shown, grids, soft)[:3]
             if events.lines is not None:
                 own = jax.tree.map(lambda part: jnp.asarray(part)[i], events.lines)
                 pose, own = jax.tree.map(lambda part: part[None], (pose, {"sight_lines": own}))
                 points = frames_fit((settings.keypoints,), model, nothing, pose, own)[:3]
-                seen = (one + other[0] for one, other in zip(seen, points, strict=True))
-            cost, H, slope = seen
+                parts = (one + other[0] for one, other in zip(parts, points, strict=True))
+            cost, H, slope = parts
             return Drawn(cost, H, slope, fit.points[i], jnp.zeros_like(slope))
 
         here = jax.tree.map(lambda part: part[i], drawn)
