@@ -1,10 +1,11 @@
-"""A camera's height and pitch by a person who stands or walks before it.
+"""A camera's height, pitch and roll by a person who stands or walks before it.
 
 Hips, shoulders and ankles of somebody upright are at heights above the floor that follow from the
 stature; the image has them at rows that depend on the camera's height and pitch, and on how far
-away the person is, frame by frame. The camera is level, as phones mostly are: it does not roll.
+away the person is, frame by frame. They are above each other, so that their line is the image's
+vertical, but for the camera's roll. What the room's vertical lines have found counts beside them.
 
-INPUTS: pixels of landmarks, a lens, a skeleton. OUTPUTS: a StandingCamera.
+INPUTS: pixels of landmarks, a lens, a skeleton, the tilt by lines. OUTPUTS: a StandingCamera.
 """
 
 from dataclasses import replace
@@ -17,6 +18,7 @@ from scipy.optimize import least_squares
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import Skeleton, landmark_rows
+from jaxmocap.calibration.vertical_lines import USUAL_TILT, CameraTilt
 from jaxmocap.compilation.arrays import on_device
 from jaxmocap.geometry.cameras import Camera, pixel_rays
 
@@ -24,11 +26,12 @@ from jaxmocap.geometry.cameras import Camera, pixel_rays
 PAIRS = ("ankle", "hip", "shoulder")
 # Height of the ankles of feet on the floor, metres.
 ANKLE_M = 0.07
-# Of a middle about where somebody upright has it, metres at the person.
-DEVIATION_M = 0.03
-# What cameras usually are: height in metres, pitch downwards in radians, and their deviations.
+# Of a middle about where somebody upright has it, up and sideways, metres at the person.
+DEVIATION_M, ASIDE_DEVIATION_M = 0.03, 0.1
+# How high cameras usually are, metres, and the deviation.
 USUAL_HEIGHT_M, HEIGHT_DEVIATION_M = 1.3, 0.4
-USUAL_PITCH, PITCH_DEVIATION = 0.05, 0.15
+# Least and most height, pitch and roll.
+LOWEST, HIGHEST = [0.05, -1.2, -0.8], [6.0, 1.2, 0.8]
 # Frames that are looked at, and how few will not do.
 MOST_FRAMES, FEWEST_FRAMES = 60, 3
 # Somebody is upright whose hip and ankle are so far apart, as a share of thigh and shank, and whose
@@ -44,12 +47,14 @@ class StandingCamera(NamedTuple):
 
     height: float  # metres
     pitch: float  # downwards, radians
-    deviations: np.ndarray  # (2,) standard deviations of both
+    roll: float  # of the image about its middle, clockwise where positive, radians
+    deviations: np.ndarray  # (3,) standard deviations of these
 
     def placed(self, camera: Camera) -> Camera:
         """The same lens above the world's origin, looking along x; the floor is z = 0."""
         c, s = np.cos(self.pitch), np.sin(self.pitch)
         R_cam_world = np.array([[0.0, -1.0, 0.0], [-s, 0.0, -c], [c, 0.0, -s]])
+        R_cam_world[:2] = _turned(R_cam_world[:2].T, self.roll).T
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R_cam_world, -R_cam_world @ [0.0, 0.0, self.height]
         return replace(camera, T_cam_world=on_device(T))
@@ -62,8 +67,9 @@ def camera_by_person(
     confidences: np.ndarray,
     skeleton: Skeleton,
     joints_cam: np.ndarray | None = None,
+    tilt: CameraTilt = USUAL_TILT,
 ) -> StandingCamera | None:
-    """The height and pitch that suit somebody who mostly stands upright.
+    """The height, pitch and roll that suit somebody who mostly stands upright.
 
     Args:
         camera: whose lens counts.
@@ -73,6 +79,7 @@ def camera_by_person(
         skeleton: of the person.
         joints_cam: (F, P, 3) where the detector has the landmarks, camera's axes, metres: frames
             whose legs are bent, or whose trunk is, are left out.
+        tilt: of the camera, as far as it is found by anything else.
 
     Returns:
         The camera; None where hardly any frame shows hips, shoulders and ankles of somebody
@@ -80,8 +87,9 @@ def camera_by_person(
     """
     slopes = _slopes(camera, names, pixels_xy, confidences)
     if joints_cam is not None and set(names) >= PARTS:
-        slopes = np.where(_are_upright(names, joints_cam)[:, None], slopes, np.nan)
-    whole = np.flatnonzero(np.isfinite(slopes).all(1))
+        upright = _are_upright(names, joints_cam)
+        slopes = np.where(upright[:, None, None], slopes, np.nan)
+    whole = np.flatnonzero(np.isfinite(slopes).all((1, 2)))
     if len(whole) < FEWEST_FRAMES:
         return None
     slopes = slopes[whole[np.linspace(0, len(whole) - 1, min(len(whole), MOST_FRAMES)).astype(int)]]
@@ -90,28 +98,36 @@ def camera_by_person(
     pairs = [landmark_rows((f"{pair}_l", f"{pair}_r")) for pair in PAIRS]
     heights = np.array([points[pair, 2].mean() for pair in pairs])
     heights += ANKLE_M - heights[0]
-    reach = (heights[-1] - heights[0]) / np.maximum(slopes[:, 0] - slopes[:, -1], 1e-2)
-    start = np.concatenate([[USUAL_HEIGHT_M, USUAL_PITCH], np.clip(reach, 1.0, FARTHEST_M - 1)])
+    spans = np.linalg.norm(slopes[:, 0] - slopes[:, -1], axis=-1)
+    reach = (heights[-1] - heights[0]) / np.maximum(spans, 1e-2)
+    usual = np.array([USUAL_HEIGHT_M, tilt.pitch, tilt.roll])
+    usual_deviations = np.array([HEIGHT_DEVIATION_M, *tilt.deviations])
+    start = np.concatenate([usual, np.clip(reach, 1.0, FARTHEST_M - 1)])
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        height, pitch, away = x[0], x[1], x[2:, None]
-        below = height - heights
+        height, pitch, away = x[0], x[1], x[3:, None]
+        below, level = height - heights, _turned(slopes, -x[2])
         depth = away * np.cos(pitch) + below * np.sin(pitch)
         rows = below * np.cos(pitch) - away * np.sin(pitch)
-        off = (rows - slopes * depth) / DEVIATION_M
+        off = (rows - level[..., 1] * depth) / DEVIATION_M
+        aside = level[..., 0] * depth
+        aside = (aside - aside.mean(1, keepdims=True)) / ASIDE_DEVIATION_M
         # Frames err alike: somebody who leans goes on doing so.
-        usual = [
-            (height - USUAL_HEIGHT_M) / HEIGHT_DEVIATION_M,
-            (pitch - USUAL_PITCH) / PITCH_DEVIATION,
-        ]
-        return np.concatenate([off.ravel() / np.sqrt(len(slopes)), usual])
+        errors = np.concatenate([off.ravel(), aside.ravel()]) / np.sqrt(len(slopes))
+        return np.concatenate([errors, (x[:3] - usual) / usual_deviations])
 
-    low = np.concatenate([[0.05, -1.2], np.full(len(slopes), NEAREST_M)])
-    high = np.concatenate([[6.0, 1.2], np.full(len(slopes), FARTHEST_M)])
+    low = np.concatenate([LOWEST, np.full(len(slopes), NEAREST_M)])
+    high = np.concatenate([HIGHEST, np.full(len(slopes), FARTHEST_M)])
     solved = least_squares(residuals, start, bounds=(low, high), loss="soft_l1")
     covariance = np.linalg.pinv(solved.jac.T @ solved.jac)
-    height, pitch = solved.x[:2]
-    return StandingCamera(float(height), float(pitch), np.sqrt(np.diag(covariance)[:2]))
+    height, pitch, roll = (float(each) for each in solved.x[:3])
+    return StandingCamera(height, pitch, roll, np.sqrt(np.diag(covariance)[:3]))
+
+
+def _turned(xy: np.ndarray, angle: float) -> np.ndarray:
+    """Places (..., 2) of an image turned about its middle, clockwise (y is down)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return xy @ np.array([[c, s], [-s, c]])
 
 
 def _are_upright(names: tuple[str, ...], joints_cam: np.ndarray) -> np.ndarray:
@@ -132,15 +148,15 @@ def _are_upright(names: tuple[str, ...], joints_cam: np.ndarray) -> np.ndarray:
 def _slopes(
     camera: Camera, names: tuple[str, ...], pixels_xy: np.ndarray, confidences: np.ndarray
 ) -> np.ndarray:
-    """(F, K) tangents, downwards, at which a level camera has the pairs' middles; NaN where not."""
+    """(F, K, 2) tangents, right and down, at which the pairs' middles are; NaN where not."""
     columns, unturned = [], replace(camera, T_cam_world=on_device(np.eye(4)))
     for pair in PAIRS:
         sides = [f"{pair}_l", f"{pair}_r"]
         if not set(sides) <= set(names):
-            return np.full((len(pixels_xy), len(PAIRS)), np.nan)
+            return np.full((len(pixels_xy), len(PAIRS), 2), np.nan)
         rows = [names.index(side) for side in sides]
         middle = np.where(confidences[:, rows].min(1) > 0, pixels_xy[:, rows].mean(1).T, np.nan).T
         level = jnp.asarray(middle, float)
         rays = np.asarray(pixel_rays(unturned, level), float)
-        columns.append(rays[:, 1] / rays[:, 2])
+        columns.append(rays[:, :2] / rays[:, 2:])
     return np.stack(columns, 1)

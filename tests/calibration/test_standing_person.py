@@ -1,4 +1,4 @@
-"""A camera's height and pitch by a person who walks before it; a video's lens; the recording."""
+"""A camera's height, pitch and roll by a person who walks before it."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +8,7 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import Skeleton, landmark_rows
 from jaxmocap.calibration.standing_person import ANKLE_M, StandingCamera, camera_by_person
+from jaxmocap.calibration.vertical_lines import CameraTilt
 from jaxmocap.geometry.cameras import Camera, project
 
 NAMES = tuple(f"{joint}_{side}" for joint in ("shoulder", "hip", "knee", "ankle") for side in "lr")
@@ -26,21 +27,37 @@ def walked(place: StandingCamera, count: int = 30, noise_px: float = 3.0):
     return pixels + np.random.default_rng(0).normal(0, noise_px, pixels.shape)
 
 
-@pytest.mark.parametrize(("height", "pitch_deg"), [(1.5, 8.0), (0.9, -4.0), (2.2, 20.0)])
-def test_a_camera_is_placed_by_who_walks_before_it(height, pitch_deg):
-    place = StandingCamera(height, np.radians(pitch_deg), np.zeros(2))
+@pytest.mark.parametrize(
+    ("height", "pitch_deg", "roll_deg"), [(1.5, 8.0, 0.0), (0.9, -4.0, 7.0), (2.2, 20.0, -15.0)]
+)
+def test_a_camera_is_placed_by_who_walks_before_it(height, pitch_deg, roll_deg):
+    place = StandingCamera(height, np.radians(pitch_deg), np.radians(roll_deg), np.zeros(3))
     pixels = walked(place)
     found = camera_by_person(LENS, NAMES, pixels, np.ones(pixels.shape[:2]), PERSON)
     assert found is not None
     assert found.height == pytest.approx(height, abs=0.2)
     assert np.degrees(found.pitch) == pytest.approx(pitch_deg, abs=2.5)
-    assert (abs(found.height - height), abs(found.pitch - place.pitch)) < tuple(
-        3 * found.deviations
-    )
+    assert np.degrees(found.roll) == pytest.approx(roll_deg, abs=3.0)
+    off = np.abs(np.subtract(found[:3], place[:3]))
+    assert (off < 3 * found.deviations).all()
+
+
+def test_a_tilt_that_lines_have_found_keeps_who_leans_from_turning_the_camera():
+    """The person leans by 10 degrees all the time; the room's lines are vertical."""
+    place = StandingCamera(1.5, np.radians(12.0), np.radians(6.0), np.zeros(3))
+    pixels = walked(place._replace(roll=place.roll + np.radians(10.0)))
+    sure = np.ones(pixels.shape[:2])
+    tilt = CameraTilt(place.pitch, place.roll, np.radians([1.5, 1.0]))
+    found = camera_by_person(LENS, NAMES, pixels, sure, PERSON, tilt=tilt)
+    alone = camera_by_person(LENS, NAMES, pixels, sure, PERSON)
+    assert found is not None and alone is not None
+    assert np.degrees(abs(found.roll - place.roll)) < 2.0
+    assert np.degrees(abs(found.pitch - place.pitch)) < 2.0
+    assert np.degrees(alone.roll - place.roll) > 5.0
 
 
 def test_who_bends_in_some_frames_hardly_matters():
-    place = StandingCamera(1.5, np.radians(8.0), np.zeros(2))
+    place = StandingCamera(1.5, np.radians(8.0), 0.0, np.zeros(3))
     pixels = walked(place)
     pixels[:6, :2, 1] += 120.0
     found = camera_by_person(LENS, NAMES, pixels, np.ones(pixels.shape[:2]), PERSON)
@@ -50,7 +67,7 @@ def test_who_bends_in_some_frames_hardly_matters():
 @pytest.mark.parametrize("bent", ["knee", "hip"])
 def test_frames_of_who_squats_or_bows_are_left_out_where_joints_tell(bent):
     """Most of them: by the pixels alone the camera would be elsewhere, and seem sure."""
-    place = StandingCamera(1.3, np.radians(5.0), np.zeros(2))
+    place = StandingCamera(1.3, np.radians(5.0), 0.0, np.zeros(3))
     body, rows = relaxed_pose(PERSON), landmark_rows(NAMES)
     angles, joints = np.array(body.angles), PERSON.tree.joints
     for side in "lr":
@@ -77,7 +94,7 @@ def test_frames_of_who_squats_or_bows_are_left_out_where_joints_tell(bent):
 
 
 def test_who_is_hardly_seen_places_no_camera():
-    pixels = walked(StandingCamera(1.5, 0.1, np.zeros(2)))
+    pixels = walked(StandingCamera(1.5, 0.1, 0.0, np.zeros(3)))
     sure = np.ones(pixels.shape[:2])
     sure[2:, NAMES.index("ankle_l")] = 0.0
     assert camera_by_person(LENS, NAMES, pixels, sure, PERSON) is None
@@ -85,9 +102,12 @@ def test_who_is_hardly_seen_places_no_camera():
 
 
 def test_a_placed_camera_looks_along_x_from_its_height():
-    camera = StandingCamera(1.5, np.radians(10), np.zeros(2)).placed(LENS)
+    camera = StandingCamera(1.5, np.radians(10), np.radians(20), np.zeros(3)).placed(LENS)
     np.testing.assert_allclose(np.asarray(camera.position_world), [0, 0, 1.5], atol=1e-6)
     ahead = np.asarray(camera.T_cam_world)[2, :3]
     np.testing.assert_allclose(
         ahead, [np.cos(np.radians(10)), 0, -np.sin(np.radians(10))], atol=1e-6
     )
+    # What is above the middle is to its right where the image is turned clockwise.
+    above = np.asarray(project(camera, jnp.asarray([[3.0, 0.0, 1.7]])))[0] - LENS.matrix[:2, 2]
+    assert np.degrees(np.arctan2(above[0], -above[1])) == pytest.approx(20.0, abs=1e-3)

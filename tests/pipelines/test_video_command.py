@@ -22,7 +22,7 @@ from jaxmocap.pipelines.silhouettes.video import USUAL_FOV_DEG, file_fov_deg, re
 from jaxmocap.synthetic.recording import write_video
 
 COUNT, SIZE = 12, (320, 480)
-PLACE = StandingCamera(1.4, 0.12, np.zeros(2))
+PLACE = StandingCamera(1.4, 0.12, 0.0, np.zeros(3))
 FOCAL = SIZE[1] / 2 / np.tan(np.radians(USUAL_FOV_DEG) / 2)
 LENS = Camera.create(
     SIZE, np.array([[FOCAL, 0, (SIZE[0] - 1) / 2], [0, FOCAL, (SIZE[1] - 1) / 2], [0, 0, 1]])

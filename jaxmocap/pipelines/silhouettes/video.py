@@ -1,4 +1,4 @@
-"""A video of one camera, and nothing else, to a recording: lens, floor, key points.
+"""A video of one camera, and nothing else, to a recording: lens, tilt, floor, key points.
 
 INPUTS: a video, the person's height, a detector. OUTPUTS: in a folder ``recording.toml``,
 ``calibration.toml`` and ``keypoints/camera.json``, to be refined by hand; warnings.
@@ -11,8 +11,9 @@ import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.calibration.standing_person import StandingCamera, camera_by_person
+from jaxmocap.calibration.vertical_lines import USUAL_TILT, CameraTilt, tilt_by_lines
 from jaxmocap.capture.keypoints import follow_person, open_keypoints
-from jaxmocap.capture.video import Video, open_video
+from jaxmocap.capture.video import FrameSource, Video, open_video
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
@@ -27,8 +28,10 @@ RECORDING, CALIBRATION, KEYPOINTS = "recording.toml", "calibration.toml", "keypo
 USUAL_FOV_DEG = 62.0
 # A picture on film is so wide, millimetres: what focal lengths "as of 35 mm film" refer to.
 FILM_MM = 36.0
+# The room is the median of so many frames.
+ROOM_FRAMES = 15
 # Until the person shows where the camera is.
-SOMEWHERE = StandingCamera(1.3, 0.0, np.zeros(2))
+SOMEWHERE = StandingCamera(1.3, 0.0, 0.0, np.zeros(3))
 
 
 def recording_of_video(
@@ -108,20 +111,34 @@ def _place(
 ) -> tuple[StandingCamera, list[str]]:
     """Where the camera is by the person, and what a user should know of it."""
     (source,) = recording.videos
-    detections = open_keypoints(source, open_video(source))
+    video = open_video(source)
+    detections = open_keypoints(source, video)
     assert detections is not None
     person = follow_person(detections)
     joints = None if person.joints_cam is None else person.joints_cam[:, 0]
-    place = camera_by_person(
-        lens, person.landmarks, person.pixels_xy[:, 0], person.confidences[:, 0], skeleton, joints
-    )
+    pixels_xy, confidences = person.pixels_xy[:, 0], person.confidences[:, 0]
+    tilt = _tilt(video, lens, np.where(confidences[..., None] > 0, pixels_xy, np.nan))
+    place = camera_by_person(lens, person.landmarks, pixels_xy, confidences, skeleton, joints, tilt)
     if place is None:
-        taken = f"a level camera {SOMEWHERE.height:g} m above the floor was taken"
+        taken = f"a camera {SOMEWHERE.height:g} m above the floor was taken"
         upright = "hips, shoulders and ankles of somebody upright"
-        return SOMEWHERE, [f"hardly any frame shows {upright}: {taken}"]
-    height, pitch = place.deviations
+        return SOMEWHERE._replace(pitch=tilt.pitch, roll=tilt.roll), [
+            f"hardly any frame shows {upright}: {taken}"
+        ]
+    (height, pitch, roll), turns = place.deviations, np.degrees([place.pitch, place.roll])
     found = (
-        f"by the person the camera is {place.height:.2f} ± {height:.2f} m above the floor "
-        f"and looks {np.degrees(place.pitch):.0f} ± {np.degrees(pitch):.0f} degrees downwards"
+        f"by the person the camera is {place.height:.2f} ± {height:.2f} m above the floor, "
+        f"looks {turns[0]:.0f} ± {np.degrees(pitch):.0f} degrees downwards "
+        f"and rolls by {turns[1]:.0f} ± {np.degrees(roll):.0f} degrees"
     )
     return place, [f"{found}; {CALIBRATION} beside the recording can be refined"]
+
+
+def _tilt(video: FrameSource, lens: Camera, pixels_xy: np.ndarray) -> CameraTilt:
+    """The camera's tilt by the room's vertical lines; the person's points are (F, P, 2), or NaN."""
+    frames = set(np.linspace(0, len(video) - 1, ROOM_FRAMES).astype(int))
+    images = [image for i, (_, image) in enumerate(video.frames(luma=True)) if i in frames]
+    images = [image for image in images if image is not None]
+    if not images:
+        return USUAL_TILT
+    return tilt_by_lines(np.median(images, 0).astype(np.uint8), lens, pixels_xy)
