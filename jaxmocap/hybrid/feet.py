@@ -12,12 +12,15 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Frames, forward, landmark_sites, site_positions
-from jaxmocap.body.model import Model
+from jaxmocap.body.model import SIDES, Model
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.markers import are_present
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix, rotate
 from jaxmocap.hybrid.settings import IKSettings
+
+# Hands that are less far apart tell no direction, metres along the ground.
+HANDS_APART_M = 0.2
 
 
 class FootPlacement(NamedTuple):
@@ -60,8 +63,13 @@ def _head_target(model: Model, targets: Array) -> tuple[Array, Array]:
     """Mean (3,) of the markers on head or neck that are there, and whether there is one."""
     on_head = np.isin(model.markers.bones, model.skeleton.tree.bones_in("head"))
     chosen = are_present(targets) & on_head
+    return _mean_of(targets, chosen), jnp.any(chosen)
+
+
+def _mean_of(targets: Array, chosen: Array) -> Array:
+    """Mean (3,) of the chosen (M,) targets; 0 where none is."""
     total = jnp.sum(jnp.where(chosen[:, None], targets, 0.0), 0)
-    return total / jnp.maximum(jnp.sum(chosen), 1).astype(total.dtype), jnp.any(chosen)
+    return total / jnp.maximum(jnp.sum(chosen), 1).astype(total.dtype)
 
 
 def stand_below(skeleton: Skeleton, settings: IKSettings, above: Array, left: Array) -> Array:
@@ -109,6 +117,36 @@ def place(
     ankles = stand_below(skeleton, settings, position, R[:, 1])
     placed = FootPlacement(ankles, jnp.zeros((), bool))
     return Pose(position, quaternion, pose.angles), placed
+
+
+def faces_away(model: Model, pose: Pose, targets: Array) -> Array:
+    """Whether the hands lie as only somebody has them who faces the other way.
+
+    Feet that stand keep a body from turning with somebody who turns on the spot. A left hand to the
+    right of the other says so, unless both are where crossed arms have them: ahead of the body,
+    which for who faces the other way is behind it.
+
+    Args:
+        model: of the person and the markers.
+        pose: the last one.
+        targets: (M, 3) markers, world, metres; NaN where missing.
+
+    Returns:
+        (); False where a foot or only one arm is marked.
+    """
+    tree, bones = model.skeleton.tree, model.markers.bones
+    on_arms = [np.isin(bones, tree.bones_in("forearm", "hand", side=side)) for side in SIDES]
+    if not model.no_foot_is_marked or not all(on_arm.any() for on_arm in on_arms):
+        return jnp.zeros((), bool)
+    present = [are_present(targets) & on_arm for on_arm in on_arms]
+    left, right = (_mean_of(targets, chosen)[:2] for chosen in present)
+    above, is_measured = _head_target(model, targets)
+    across, ahead = left - right, (left + right) / 2 - above[:2]
+    apart, facing = jnp.linalg.norm(across), quaternion_to_matrix(pose.quaternion)[:2, 0]
+    turned = jnp.stack([across[1], -across[0]]) / jnp.maximum(apart, HANDS_APART_M)
+    facing = facing / jnp.maximum(jnp.linalg.norm(facing), 1e-6)
+    is_away = (apart > HANDS_APART_M) & (facing @ turned < 0) & (ahead @ (turned - facing) > 0)
+    return is_away & is_measured & jnp.any(present[0]) & jnp.any(present[1])
 
 
 def landmark_above(skeleton: Skeleton, frames: Frames) -> Array:

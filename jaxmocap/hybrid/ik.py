@@ -23,7 +23,7 @@ from jaxmocap.evidence.markers import Goals, are_present
 from jaxmocap.evidence.posture import EasyPosture, LastPose, effort_shares
 from jaxmocap.evidence.shapes import in_precision
 from jaxmocap.evidence.terms import Measurements
-from jaxmocap.hybrid.feet import FootPlacement, place, replant
+from jaxmocap.hybrid.feet import FootPlacement, faces_away, place, replant
 from jaxmocap.hybrid.minimum import Another, pose_at_minimum
 from jaxmocap.hybrid.paper import ik as paper_ik
 from jaxmocap.hybrid.settings import IKSettings
@@ -49,7 +49,8 @@ def solve_ik(
 ) -> IKResult:
     """Markers to pose, from the last pose.
 
-    Where the last pose is lost (``settings.lost``), the body is placed by its markers.
+    Where the last pose is lost (``settings.lost``) or ``faces_away``, the body is placed by its
+    markers.
 
     Args:
         model: of the person and the markers.
@@ -69,6 +70,7 @@ def solve_ik(
     before = goal_distances(skeleton, goals_of(model, settings, feet, targets), last)
     missed = jnp.max(before[: len(targets)], initial=0.0)
     lost, far = (is_first | (missed > limit) for limit in (settings.lost, FAR_OFF))
+    lost |= faces_away(model, pose, targets)
     placed, placed_feet = place(model, settings, targets, at_ease)
     pose, feet = tree_where(lost, (placed, placed_feet), (pose, feet))
     feet, planted = replant(model, settings, pose, feet, targets)
