@@ -70,7 +70,8 @@ def solve_ik(
     before = goal_distances(skeleton, goals_of(model, settings, feet, targets), last)
     missed = jnp.max(before[: len(targets)], initial=0.0)
     lost, far = (is_first | (missed > limit) for limit in (settings.lost, FAR_OFF))
-    lost |= faces_away(model, pose, targets)
+    if settings.feet == "follow":
+        lost |= faces_away(model, pose, targets)
     placed, placed_feet = place(model, settings, targets, at_ease)
     pose, feet = tree_where(lost, (placed, placed_feet), (pose, feet))
     feet, planted = replant(model, settings, pose, feet, targets)

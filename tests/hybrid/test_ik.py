@@ -23,6 +23,7 @@ from jaxmocap.hybrid.settings import IKSettings
 from jaxmocap.hybrid.step import nowhere
 from jaxmocap.reference import kinematics as reference_kinematics
 from jaxmocap.reference.hybrid import ik as reference
+from jaxmocap.synthetic.movements.exercises import exercise
 
 NAMES = ("vertex", "wrist_l", "wrist_r", "ankle_l", "ankle_r")
 # A step in float32 may lie this far from double precision, weighted radians: the singular
@@ -463,6 +464,58 @@ def test_feet_are_planted_again_when_a_leg_was_overstretched(skeleton):
     assert bool(second.planted)
     middle = np.asarray(second.feet.ankles).mean(0)
     np.testing.assert_allclose(middle[:2], away[0, :2], atol=1e-5)
+
+
+def facing(pose):
+    """Radians from the world's +x."""
+    R = np.asarray(quaternion_to_matrix(pose.quaternion))
+    return np.arctan2(R[1, 0], R[0, 0])
+
+
+def turned_about(points, yaw):
+    """Points turned about the first one's vertical."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    away = np.asarray(points) - np.asarray(points)[0]
+    return on_device(away @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + np.asarray(points)[0])
+
+
+@pytest.mark.parametrize("yaw", np.linspace(-3, 3, 5))
+def test_hands_say_that_a_body_faces_away(skeleton, yaw):
+    model, (targets, actual) = Model.create(skeleton), standing(skeleton)
+    hands = targets[0] + jnp.array([[0.0, 0.0, 0.0], [0.2, 0.25, -0.7], [0.2, -0.25, -0.7]])
+    there = turned_about(hands, facing(actual.pose) + yaw)
+    assert bool(feet.faces_away(model, actual.pose, there)) == (abs(yaw) > np.pi / 2)
+    # Hands that are together, or one that is missing, say nothing.
+    for changed in (there.at[1].set(there[2]), there.at[1].set(jnp.nan), there.at[0].set(jnp.nan)):
+        assert not feet.faces_away(model, actual.pose, changed)
+
+
+def test_who_turns_on_the_spot_is_turned_with(slim_woman, skeleton):
+    """The feet's place held the body: it was 150 degrees off where the person had turned."""
+    person, times = exercise(slim_woman, "turn", 3.0, 52), np.arange(0, 3, 1 / 60)
+    truth = person.landmarks(times)
+    markers = np.stack([truth[name] for name in NAMES[:3]], 1)
+    hips = truth["hip_l"] - truth["hip_r"]
+    pose, placement = nowhere(Model.create(skeleton))
+    for there, left in zip(markers, hips, strict=True):
+        result = solve(skeleton, IKSettings(), pose, placement, on_device(there))
+        pose, placement = result.pose, result.feet
+        off = abs(np.angle(np.exp(1j * (facing(pose) - np.arctan2(-left[0], left[1])))))
+        assert np.degrees(off) < 100.0
+    assert np.degrees(off) < 30.0
+
+
+def test_crossed_arms_do_not_turn_a_body(skeleton):
+    targets, actual = standing(skeleton)
+    crossed = targets[0] + jnp.array([[0.0, 0.0, 0.0], [0.3, -0.15, -0.5], [0.3, 0.15, -0.5]])
+    crossed = turned_about(crossed, facing(actual.pose))
+    pose, placement = actual.pose, actual.feet
+    for share in np.linspace(0, 1, 20):
+        there = (1 - share) * targets + share * crossed
+        result = solve(skeleton, IKSettings(), pose, placement, there)
+        pose, placement = result.pose, result.feet
+        assert not result.placed
+    assert np.cos(facing(pose) - facing(actual.pose)) > 0.9
 
 
 def test_without_a_marker_on_the_head_feet_are_never_planted_again(skeleton):
