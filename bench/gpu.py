@@ -125,7 +125,8 @@ def rasters(footage: Footage, size: int) -> Work:
         return Region(corner, np.full(size, scale, np.float32))
 
     upper, lower = region(180, 60, 4.0), region(180, 240, 6.0)
-    grids = SilhouetteGrids(upper, grid(64), grid(64), LegGrid(lower, grid(32)))
+    per_metre = np.full(size, 250, np.float32)
+    grids = SilhouetteGrids(upper, grid(64), grid(64), per_metre, LegGrid(lower, grid(32)))
     repeated = lambda part: np.repeat(np.asarray(part)[None], size, 0)  # noqa: E731
     poses = jax.tree.map(repeated, state.pose)
     cameras = jax.tree.map(repeated, model.camera(0))

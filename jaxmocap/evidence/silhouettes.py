@@ -66,12 +66,14 @@ class SilhouetteGrids(NamedTuple):
     region: Region  # where the grid round the upper half lies in the image (no batch)
     person: Grid  # the whole person
     forearms: Grid  # forearms and hands alone
+    # () pixels of a metre at the person, as far away as the markers' pose was.
+    per_metre: Array | np.ndarray
     legs: LegGrid | None = None  # the lower half; None where nobody looked
 
     def each_grid(self, call: Callable[[Grid], Grid]) -> "SilhouetteGrids":
         """The same with every grid changed."""
         legs = self.legs and self.legs._replace(person=call(self.legs.person))
-        return SilhouetteGrids(self.region, call(self.person), call(self.forearms), legs)
+        return self._replace(person=call(self.person), forearms=call(self.forearms), legs=legs)
 
     def halved(self) -> "SilhouetteGrids":
         """The same on grids of half as many cells to a side."""
@@ -131,36 +133,38 @@ def project_limbs(
 ) -> tuple[Cones, Discs, Array]:
     """The body's limbs (K), world, and in cells; the visible share (S * S,) of a forearm."""
     flesh = cones(skeleton, frames, skeleton.tree.drawn)
-    discs = discs_in_region(grids.region, project_flesh(skeleton.tree, camera, flesh))
+    outlines = project_flesh(skeleton.tree, camera, flesh, grids.per_metre)
+    discs = discs_in_region(grids.region, outlines)
     return flesh, discs, _visible(skeleton.tree, camera, flesh, discs, grids.person)
 
 
 def project_flesh(
-    tree: Tree, camera: Camera, flesh: Cones, bones: np.ndarray | None = None
+    tree: Tree,
+    camera: Camera,
+    flesh: Cones,
+    per_metre: Array | np.ndarray,
+    bones: np.ndarray | None = None,
 ) -> Discs:
-    """Limbs in the image, pixels, trunk and legs as thick as if they were as far as the head.
+    """Limbs in the image, pixels; trunk and legs as thick as they are drawn anywhere.
 
-    Clothes are thicker than what is drawn, and would bring a limb nearer to the camera.
+    Clothes are thicker than what is drawn, and would bring a limb, or with the trunk the head,
+    nearer to the camera.
 
     Args:
         tree: of the person.
         camera: that sees it.
         flesh: of the drawn bones, or of others.
-        bones: of the flesh, a head among them; those that are drawn without it.
+        per_metre: () pixels of a metre of trunk and legs.
+        bones: of the flesh; those that are drawn without it.
     """
     discs = project_cones(camera, flesh)
-    head, stands_in = _distance_of_head(tree, tree.drawn if bones is None else bones)
-    away = jnp.stack([_away(camera, end) for end in (flesh.near, flesh.far)], 1)
-    ratio = jnp.where(stands_in[:, None], away / away[head], 1.0)
-    return discs._replace(radii=discs.radii * ratio)
+    alike = _as_thick_anywhere(tree, tree.drawn if bones is None else bones)[:, None]
+    return discs._replace(radii=jnp.where(alike, flesh.radii * per_metre, discs.radii))
 
 
-def _distance_of_head(tree: Tree, bones: np.ndarray) -> tuple[int, np.ndarray]:
-    """Row of the head's first bone, and which limbs (K,) are as thick as if they were there."""
-    heads = np.flatnonzero(np.isin(bones, tree.bones_in("head")))
-    if not len(heads):
-        return 0, np.zeros(len(bones), bool)
-    return int(heads[0]), ~np.isin(bones, tree.bones_in(*THICK_BY_DISTANCE))
+def _as_thick_anywhere(tree: Tree, bones: np.ndarray) -> np.ndarray:
+    """Which limbs (K,) look as thick far away as nearby."""
+    return ~np.isin(bones, tree.bones_in(*THICK_BY_DISTANCE))
 
 
 def _away(camera: Camera, points_world: Array) -> Array:
@@ -221,7 +225,8 @@ def silhouette_fit(
         def limbs(shared: Array) -> Discs:
             own = scaled(skeleton, shared[:-3])
             body = cones(own, forward(own, pose), bones)
-            outlines = project_flesh(own.tree, turned(camera, shared[-3:]), body)
+            there = turned(camera, shared[-3:])
+            outlines = project_flesh(own.tree, there, body, grids.per_metre)
             return discs_in_region(grids.region, outlines)
 
         by_shared = jax.jacfwd(limbs)(jnp.pad(proportions, (0, 3)))
@@ -317,7 +322,7 @@ def _leverage(
 ) -> Array:
     """Derivatives (K, 6, 6 + D) of the limbs' discs in cells."""
     ahead = depth_gradient(camera)
-    head, stands_in = _distance_of_head(skeleton.tree, bones)
+    alike = _as_thick_anywhere(skeleton.tree, bones)[:, None, None]
 
     def of_end(points_world: Array, radii: Array) -> tuple[Array, Array]:
         J = jacobian(skeleton, frames, bones, points_world)
@@ -325,8 +330,7 @@ def _leverage(
         # Sums of three products: as one loop they are faster than small matrix products.
         centre = sum(cells[:, :, i, None] * J[:, i, None] for i in range(3))
         deeper = sum(ahead[i] * J[:, i, None] for i in range(3))
-        nearer = -deeper / _away(camera, points_world)[:, None, None]
-        nearer = jnp.where(stands_in[:, None, None], nearer[head], nearer)
+        nearer = jnp.where(alike, 0.0, -deeper / _away(camera, points_world)[:, None, None])
         return jnp.asarray(centre), radii[:, None, None] * nearer
 
     near, near_radius = of_end(flesh.near, discs.radii[:, 0])

@@ -298,7 +298,7 @@ def _drawn(
     kept = ~np.isin(bones, skeleton.tree.bones_in("arm"))
     body = Cones(*(part[kept] for part in cones(skeleton, frames, bones)))
     x, y = cells(grids.person.probability.shape[-1], pose.angles.dtype)
-    outlines = project_flesh(skeleton.tree, camera, body, bones[kept])
+    outlines = project_flesh(skeleton.tree, camera, body, grids.per_metre, bones[kept])
     at = _touched(grids.region, outlines, x, y)
     rest, surface = jnp.min(at.distance, 0), nearest_surface(camera, body, at.distance)
     moved, _ = _turned(arms_of(skeleton, frames, model.grips))

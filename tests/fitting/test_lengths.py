@@ -12,7 +12,17 @@ import numpy as np
 import pytest
 from conftest import on_device
 from drawn_arms import SIZE
-from painted_motion import CAMERAS, CELL_PX, CELLS, MODEL, PERSON, limb_distances, problem, truth
+from painted_motion import (
+    CAMERAS,
+    CELL_PX,
+    CELLS,
+    MODEL,
+    PERSON,
+    limb_distances,
+    per_metre,
+    problem,
+    truth,
+)
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import GIRTHS, LENGTHS, PROPORTIONS, covariance_among_people, scaled
@@ -82,16 +92,15 @@ def of_own_flesh() -> Views:
     corner = (np.array(SIZE) - CELLS * CELL_PX) // 2 - 0.5
     region = Region(np.asarray(corner, np.float32), np.asarray(CELL_PX, np.float32))
     blank = Grid(*np.zeros((2, CELLS, CELLS), np.float32))
-    grids = []
+    grids, metres = [], np.array([per_metre(camera) for camera in cameras])
     for frame, camera in zip(frames, cameras, strict=True):
         pose = on_device(Pose(*(part[frame] for part in poses)))
-        grids.append(
-            coverage(pose, CAMERAS[camera], on_device(SilhouetteGrids(region, blank, blank)))
-        )
+        where = on_device(SilhouetteGrids(region, blank, blank, per_metre(camera)))
+        grids.append(coverage(pose, CAMERAS[camera], where))
     person = Grid(np.stack(grids), np.ones((len(frames), CELLS, CELLS), np.float32))
     regions = Region(*(np.tile(part, (len(frames), *[1] * part.ndim)) for part in region))
     regions = regions._replace(scale=regions.scale.ravel())
-    return Views(frames, cameras, SilhouetteGrids(regions, person, person))
+    return Views(frames, cameras, SilhouetteGrids(regions, person, person, metres))
 
 
 @cache

@@ -130,7 +130,7 @@ def usual() -> list[SmoothingProblem]:
 
 def grids(problem: SmoothingProblem) -> list[Grid]:
     """All of its grids."""
-    _, person, forearms, legs = problem.views.grids
+    _, person, forearms, _, legs = problem.views.grids
     return [person, forearms, legs.person]
 
 
@@ -154,7 +154,7 @@ def test_the_grids_show_the_person_and_the_bare_forearms():
     views = usual()[-1].views
     np.testing.assert_array_equal(views.frame, np.arange(0, 2 * FRAMES, 2))
     assert not views.camera.any()
-    upper, person, forearms, legs = views.grids
+    upper, person, forearms, _, legs = views.grids
     for region, grid, part in (
         (upper, person, "person"), (upper, forearms, "forearms"), (*legs, "person"),
     ):  # fmt: skip

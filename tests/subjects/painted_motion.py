@@ -112,6 +112,15 @@ def limb_distances(pose: Pose, camera: Camera, grids: SilhouetteGrids) -> jax.Ar
     return jnp.sort(distances, 0).reshape(-1, CELLS, CELLS)
 
 
+def per_metre(camera: int) -> np.ndarray:
+    """() pixels of a metre at the person as the motion begins."""
+    matrix, T_cam_world = (
+        np.asarray(part) for part in (CAMERAS[camera].matrix, CAMERAS[camera].T_cam_world)
+    )
+    away = T_cam_world[2] @ np.append(pose_at(0.0).position, 1.0)
+    return np.asarray(matrix[0, 0] / away, np.float32)
+
+
 @cache
 def painted_grids(camera: int, count: int) -> PaintedGrids:
     """The motion in one camera, on grids about the upper body."""
@@ -142,7 +151,8 @@ def views(count: int, cameras=(0,), frames=None) -> Views:
         scale = np.full(len(chosen), CELL_PX, np.float32)
         region = Region(painted.origin[chosen].astype(np.float32), scale)
         cameras_of = np.full(len(chosen), camera)
-        parts.append(Views(chosen, cameras_of, SilhouetteGrids(region, *grids)))
+        metres = np.full(len(chosen), per_metre(camera))
+        parts.append(Views(chosen, cameras_of, SilhouetteGrids(region, *grids, metres)))
     return jax.tree.map(lambda *each: np.concatenate(each), *parts)
 
 

@@ -100,7 +100,7 @@ class Drawing:
     """The body as poses put it into the shrunk images."""
 
     discs: Discs  # (F, K) limbs, pixels of the shrunk images; the radii of all the limbs' ends
-    per_metre: np.ndarray  # (F,) pixels of a metre at the person
+    per_metre: np.ndarray  # (F,) pixels of a metre at the person, of the shrunk images
     size: tuple[int, int]  # width and height of the shrunk images
     ratio: np.ndarray  # (2,) their size over that of the full ones
     tree: Tree  # of the K bones
@@ -145,6 +145,10 @@ class Drawing:
         ends = [near + at * (far - near) for at in part]
         widths = radii[:, :1] + np.array(part) * (radii[:, 1:] - radii[:, :1])
         return draw_hulls(Discs(ends[0], ends[1], widths * share + more_px), self.size)
+
+    def image_per_metre(self, frame: int, dtype: np.dtype) -> np.ndarray:
+        """() pixels of a metre at the person, of the full image."""
+        return np.asarray(self.per_metre[frame] / self.ratio[0], dtype)
 
     def core(self, frame: int, without: Sequence[str] = ()) -> np.ndarray:
         """Where (h, w) the person surely is."""
@@ -252,7 +256,7 @@ def silhouette_grids(
         regions: where the grids lie, in pixels of the full images.
     """
     grids = [
-        _no_grids(regions.of(i))
+        _no_grids(regions.of(i), drawing, i)
         if image is None or learned is None
         else body_grids(image, learned, drawing, i, regions.of(i))[1]
         for i, image in enumerate(images)
@@ -260,10 +264,11 @@ def silhouette_grids(
     return jax.tree.map(lambda *parts: np.stack(parts), *grids)
 
 
-def _no_grids(regions: Regions) -> SilhouetteGrids:
+def _no_grids(regions: Regions, drawing: Drawing, frame: int) -> SilhouetteGrids:
     """All weights are zero where there is no image."""
     upper, lower = (Grid(*np.zeros((2, cells, cells), np.float32)) for cells in (CELLS, LEG_CELLS))
-    return SilhouetteGrids(regions.upper, upper, upper, LegGrid(regions.lower, lower))
+    per_metre = drawing.image_per_metre(frame, regions.upper.scale.dtype)
+    return SilhouetteGrids(regions.upper, upper, upper, per_metre, LegGrid(regions.lower, lower))
 
 
 def body_grids(
@@ -301,7 +306,8 @@ def body_grids(
     layers = weighed(person)
     person_image, part = grids(weighed(forearms), upper, on_upper)
     legs = LegGrid(regions.lower, grids(layers, lower, on_legs)[0])
-    return odds, SilhouetteGrids(regions.upper, person_image, part, legs)
+    per_metre = drawing.image_per_metre(frame, regions.upper.scale.dtype)
+    return odds, SilhouetteGrids(regions.upper, person_image, part, per_metre, legs)
 
 
 def _in_shrunk(drawing: Drawing, region: Region) -> Region:

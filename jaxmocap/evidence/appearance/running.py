@@ -63,8 +63,9 @@ def _empty(cells: int) -> Grid:
 # Of a camera that has no frame.
 _NOWHERE = Region(np.zeros(2, np.float32), np.zeros((), np.float32))
 NO_GRIDS = SilhouetteGrids(
-    _NOWHERE, _empty(UPPER_CELLS), _empty(UPPER_CELLS), LegGrid(_NOWHERE, _empty(LOWER_CELLS))
-)
+    _NOWHERE, _empty(UPPER_CELLS), _empty(UPPER_CELLS), np.ones((), np.float32),
+    LegGrid(_NOWHERE, _empty(LOWER_CELLS)),
+)  # fmt: skip
 
 
 class MeasuredFrame(NamedTuple):

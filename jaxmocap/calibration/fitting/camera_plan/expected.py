@@ -38,7 +38,7 @@ from jaxmocap.evidence.silhouettes import (
 )
 from jaxmocap.evidence.smoothness import second_differences
 from jaxmocap.evidence.terms import Measurements
-from jaxmocap.geometry.cameras import Camera, depth, project
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, pixels_per_metre, project
 from jaxmocap.geometry.outlines import Swept, Touch, depth_along, swept, touch_swept
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.images.regions import Region, discs_in_region
@@ -132,14 +132,16 @@ def _view_rows(
 ) -> tuple[Array, Array, Array]:
     """Of each picture of a view, how its cells' coverage changes (S * S, N) with the pose."""
     drawn, still = skeleton.tree.drawn, jnp.zeros(skeleton.costs.size, pose.angles.dtype)
+    flesh = cones(skeleton, forward(skeleton, pose), drawn)
+    away = jnp.maximum(jnp.mean(depth(camera, flesh.near)), NEAREST_M)
+    per_metre = pixels_per_metre(camera, away)
 
     def outlines(step: Array) -> Array:
-        flesh = cones(skeleton, forward(skeleton, retract(pose, step)), drawn)
-        return jnp.concatenate(project_flesh(skeleton.tree, camera, flesh), -1)
+        moved = cones(skeleton, forward(skeleton, retract(pose, step)), drawn)
+        return jnp.concatenate(project_flesh(skeleton.tree, camera, moved, per_metre), -1)
 
     leverage = jax.jacfwd(outlines)(still)
-    flesh = cones(skeleton, forward(skeleton, pose), drawn)
-    discs = project_flesh(skeleton.tree, camera, flesh)
+    discs = project_flesh(skeleton.tree, camera, flesh, per_metre)
     pixels = project(camera, landmarks(skeleton, pose))
     # Images are shrunk before they are measured: a distant person has coarser cells.
     finest = camera.size[1] / ROWS
