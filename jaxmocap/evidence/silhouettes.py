@@ -66,7 +66,7 @@ class SilhouetteGrids(NamedTuple):
     region: Region  # where the grid round the upper half lies in the image (no batch)
     person: Grid  # the whole person
     forearms: Grid  # forearms and hands alone
-    # () pixels of a metre at the person, as far away as the markers' pose was.
+    # () image pixels of a metre at the person, where the grids were measured.
     per_metre: Array | np.ndarray
     legs: LegGrid | None = None  # the lower half; None where nobody looked
 
