@@ -109,7 +109,7 @@ def file_fov_deg(video: Video) -> float | None:
 def _place(
     recording: Recording, lens: Camera, skeleton: Skeleton
 ) -> tuple[StandingCamera, list[str]]:
-    """Where the camera is by the person, and what a user should know of it."""
+    """Where the camera is by the room and the person, and what a user should know of it."""
     (source,) = recording.videos
     video = open_video(source)
     detections = open_keypoints(source, video)
@@ -122,13 +122,13 @@ def _place(
     if place is None:
         taken = f"a camera {SOMEWHERE.height:g} m above the floor was taken"
         upright = "hips, shoulders and ankles of somebody upright"
-        return SOMEWHERE._replace(pitch=tilt.pitch, roll=tilt.roll), [
-            f"hardly any frame shows {upright}: {taken}"
-        ]
+        warning = f"hardly any frame shows {upright}: {taken}"
+        return SOMEWHERE._replace(pitch=tilt.pitch, roll=tilt.roll), [warning]
     (height, pitch, roll), turns = place.deviations, np.degrees([place.pitch, place.roll])
     found = (
-        f"by the person the camera is {place.height:.2f} ± {height:.2f} m above the floor, "
-        f"looks {turns[0]:.0f} ± {np.degrees(pitch):.0f} degrees downwards "
+        "by the room and the person the camera is "
+        f"{place.height:.2f} ± {height:.2f} m above the floor, looks "
+        f"{turns[0]:.0f} ± {np.degrees(pitch):.0f} degrees downwards "
         f"and rolls by {turns[1]:.0f} ± {np.degrees(roll):.0f} degrees"
     )
     return place, [f"{found}; {CALIBRATION} beside the recording can be refined"]
@@ -137,8 +137,8 @@ def _place(
 def _tilt(video: FrameSource, lens: Camera, pixels_xy: np.ndarray) -> CameraTilt:
     """The camera's tilt by the room's vertical lines; the person's points are (F, P, 2), or NaN."""
     frames = set(np.linspace(0, len(video) - 1, ROOM_FRAMES).astype(int))
-    images = [image for i, (_, image) in enumerate(video.frames(luma=True)) if i in frames]
-    images = [image for image in images if image is not None]
+    chosen = (image for i, (_, image) in enumerate(video.frames(luma=True)) if i in frames)
+    images = [image for image in chosen if image is not None]
     if not images:
         return USUAL_TILT
     return tilt_by_lines(np.median(images, 0).astype(np.uint8), lens, pixels_xy)
