@@ -203,23 +203,33 @@ def _arms_moved(parameters: tuple, pose: Pose) -> Pose:
     costs = _arm_costs(model, settings, fields.by_arm(), *start)
     hung, dofs = hang(model.skeleton, pose, model.grips), arm_dofs(model.skeleton.tree)
 
-    def slope(moves: Array) -> Array:
-        def cost(moves: Array) -> Array:
-            arms, angles = swing(hung, moves)
-            return sum((jnp.sum(each(arms, angles)) for each in costs), start=jnp.zeros(()))
+    def cost(moves: Array) -> Array:
+        arms, angles = swing(hung, moves)
+        return sum((each(arms, angles) for each in costs), start=jnp.zeros(()))
 
-        return jax.grad(cost)(moves)
-
-    step = jax.vmap(curved_step)(*_by_arm(slope, jnp.zeros_like(hung.angles)))
+    H, slope = _by_arm(lambda moves: _by_arm(cost)(moves)[0])(jnp.zeros_like(hung.angles))
+    step = jax.vmap(curved_step)(slope, H)
     has_image = jnp.any(jnp.asarray(fields.available), 0)[:, None]
     step = jnp.where(has_image, step - jax.lax.stop_gradient(step), 0.0)
     return pose._replace(angles=pose.angles.at[dofs].set(swing(hung, step)[1]))
 
 
-def _by_arm(slope: Callable[[Array], Array], still: Array) -> tuple[Array, Array]:
-    """Each arm's slope (2, 4) and its Hessian (2, 4, 4): arms do not depend on one another."""
-    H = jax.jacfwd(slope)(still)
-    return slope(still), jnp.stack([H[arm, :, arm] for arm in range(len(still))])
+def _by_arm(function: Callable[[Array], Array]) -> Callable[[Array], tuple[Array, Array]]:
+    """The derivative (2, ..., 4) of what (2, ...) each arm has of its own moves (2, 4); and that.
+
+    Forwards: what goes twice through pictures backwards takes twice as long to compile.
+    """
+
+    def derivative(moves: Array) -> tuple[Array, Array]:
+        def along(way: Array) -> tuple[Array, Array]:
+            there, slope = jax.jvp(function, (moves,), (way,))
+            return slope, there
+
+        # One way of both arms at once.
+        ways = jnp.broadcast_to(jnp.eye(4, dtype=moves.dtype)[:, None], (4, *moves.shape))
+        return jax.vmap(along, out_axes=(-1, None))(ways)
+
+    return derivative
 
 
 def _arm_costs(
