@@ -33,8 +33,9 @@ RATE_HZ, SECONDS = 30, 2.0
 BATCHES = {1: 60, 64: 8, 256: 3}
 # Events that ``smooth`` takes at once, and motions at a time.
 EVENTS, MOTIONS = 30, {1: 10, 8: 3}
-# What ``gradients.md`` has a derivative compiled with.
+# What ``gradients.md`` has a derivative compiled with, up to the last JAX that has both.
 QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
+WAYS = [(QUICK, ", quick options")] * (jax.__version_info__ < (0, 11, 1)) + [(None, "")]
 
 
 class Work(NamedTuple):
@@ -124,7 +125,7 @@ def measured(name: str, work: Work) -> Iterator[Metric]:
     traced = jax.make_jaxpr(function)(*fixed, *own[0])
     yield Metric(f"{name}, equations", equations(traced.jaxpr), "", tolerance=0.1)
     for kind, one in (("", function), (", gradient", slope)):
-        for options, how in ((QUICK, ", quick options"), (None, "")):
+        for options, how in WAYS:
             jax.clear_caches()
             jitted = jax.jit(one, compiler_options=options)
             compiling, compiled = timed(lambda j=jitted: j.lower(*fixed, *own[0]).compile())

@@ -32,8 +32,9 @@ BUILT_ON = ("jax", "jaxlib", "numpy", "equinox", "lineax", "optimistix")
 
 # How hard XLA tries for a CPU. Its older emitters take two thirds of the time (33 s of a first
 # start came to 20), and what they make is as fast but for loops over pictures and many candidates,
-# which take 8 to 20 % longer. Without optimisation it takes a quarter of the time, and what it
-# makes is slower by half: for what runs once.
+# which take 8 to 20 % longer; JAX has them up to 0.11.0. Optimised little it takes a tenth less, but
+# an event's solve takes a sixth longer. Without optimisation it takes a quarter of the time, and what
+# it makes is slower by half: for what runs once.
 Effort = Literal["full", "quick", "once"]
 EFFORTS: dict[str, dict[str, bool | int]] = {
     "full": {},
@@ -259,15 +260,19 @@ def _compiler() -> ThreadPoolExecutor:
 
 @lru_cache
 def _compiler_options(effort: Effort) -> dict[str, bool | int] | None:
-    """Of an effort, where this compiler has them."""
-    options = EFFORTS[effort]
-    if not options or jax.default_backend() != "cpu":
+    """Of an effort, those that this compiler has."""
+    if jax.default_backend() != "cpu":
         return None
+    return {name: value for name, value in EFFORTS[effort].items() if _has(name, value)} or None
+
+
+def _has(name: str, value: bool | int) -> bool:
+    """Whether this compiler takes an option."""
     try:
-        jax.jit(lambda: 0, compiler_options=options).lower().compile()
+        jax.jit(lambda: 0, compiler_options={name: value}).lower().compile()
     except jax.errors.JaxRuntimeError:
-        return None
-    return options
+        return False
+    return True
 
 
 def _like(leaves: list[Array]) -> list[jax.ShapeDtypeStruct]:

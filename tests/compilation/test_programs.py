@@ -183,3 +183,13 @@ def test_what_cannot_be_kept_runs_all_the_same(
     actual = counted([])(ANGLE, POINT)
     assert float(actual.parts["length"]) == pytest.approx(5.0, rel=1e-5)
     assert not any(folder.glob("*"))
+
+
+def test_options_that_this_compiler_lacks_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A release that lacks one of an effort's has the others all the same."""
+    level = {"xla_backend_optimization_level": 1}
+    monkeypatch.setitem(programs.EFFORTS, "quick", {"xla_of_no_release": True, **level})
+    programs._compiler_options.cache_clear()
+    assert programs._compiler_options("quick") == level
+    monkeypatch.undo()
+    programs._compiler_options.cache_clear()
