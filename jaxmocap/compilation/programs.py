@@ -32,8 +32,8 @@ BUILT_ON = ("jax", "jaxlib", "numpy", "equinox", "lineax", "optimistix")
 
 # How hard XLA tries for a CPU. Its older emitters take two thirds of the time (33 s of a first
 # start came to 20), and what they make is as fast but for loops over pictures and many candidates,
-# which take 8 to 20 % longer; JAX has them up to 0.11.0. Optimised little it takes a tenth less, but
-# an event's solve takes a sixth longer. Without optimisation it takes a quarter of the time, and what
+# which take 8 to 20 % longer; JAX has them up to 0.11.0. Optimised little it takes a tenth less,
+# and an event's solve a sixth longer. Without optimisation it takes a quarter of the time, and what
 # it makes is slower by half: for what runs once.
 Effort = Literal["full", "quick", "once"]
 EFFORTS: dict[str, dict[str, bool | int]] = {
