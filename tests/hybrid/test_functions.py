@@ -394,6 +394,20 @@ def test_a_smoothed_motion_moves_as_finite_differences_say(moving):
         assert_is_its_finite_difference(smoothed, arguments, 1, 1e-3)
 
 
+def test_a_smoothed_motion_moves_backwards_as_forwards(moving):
+    """By what was measured; with silhouettes it is the same function that goes backwards."""
+    smoothed, arguments, _ = moving
+    *others, measured = arguments
+    with double():
+        way = any_direction(measured, 3)
+        points, change = along(smoothed, arguments, (*still(tuple(others)), way))
+        pull = np.random.default_rng(3).normal(size=points.shape)
+        backwards = jax.jit(lambda pull: jax.vjp(partial(smoothed, *others), measured)[1](pull))
+        (pulled,) = backwards(jnp.asarray(pull))
+    each = (np.vdot(pulled[name], way[name]) for name in measured)
+    assert sum(each) == pytest.approx(np.vdot(pull, change), rel=1e-7)
+
+
 def test_a_smoothed_motion_is_near_the_truth(moving):
     smoothed, arguments, truth = moving
     with double():
