@@ -207,29 +207,22 @@ def _arms_moved(parameters: tuple, pose: Pose) -> Pose:
         arms, angles = swing(hung, moves)
         return sum((each(arms, angles) for each in costs), start=jnp.zeros(()))
 
-    H, slope = _by_arm(lambda moves: _by_arm(cost)(moves)[0])(jnp.zeros_like(hung.angles))
+    slope, H = _by_arm(lambda moves: _by_arm(cost, moves)[1], jnp.zeros_like(hung.angles))
     step = jax.vmap(curved_step)(slope, H)
     has_image = jnp.any(jnp.asarray(fields.available), 0)[:, None]
     step = jnp.where(has_image, step - jax.lax.stop_gradient(step), 0.0)
     return pose._replace(angles=pose.angles.at[dofs].set(swing(hung, step)[1]))
 
 
-def _by_arm(function: Callable[[Array], Array]) -> Callable[[Array], tuple[Array, Array]]:
-    """The derivative (2, ..., 4) of what (2, ...) each arm has of its own moves (2, 4); and that.
+def _by_arm(function: Callable[[Array], Array], moves: Array) -> tuple[Array, Array]:
+    """What (2, ...) each arm has of its own moves (2, 4) alone, and its derivative (2, ..., 4).
 
     Forwards: what goes twice through pictures backwards takes twice as long to compile.
     """
-
-    def derivative(moves: Array) -> tuple[Array, Array]:
-        def along(way: Array) -> tuple[Array, Array]:
-            there, slope = jax.jvp(function, (moves,), (way,))
-            return slope, there
-
-        # One way of both arms at once.
-        ways = jnp.broadcast_to(jnp.eye(4, dtype=moves.dtype)[:, None], (4, *moves.shape))
-        return jax.vmap(along, out_axes=(-1, None))(ways)
-
-    return derivative
+    # One way of both arms at once.
+    ways = jnp.broadcast_to(jnp.eye(4, dtype=moves.dtype)[:, None], (4, *moves.shape))
+    along = partial(jax.jvp, function, (moves,))
+    return jax.vmap(lambda way: along((way,)), out_axes=(None, -1))(ways)
 
 
 def _arm_costs(
