@@ -48,9 +48,9 @@ STAGES: dict[str, tuple[tuple[object, str], ...]] = {
     "rim": ((rim.RimFinder, "find"),),
     "canvases": ((outlines, "canvas"), (outlines, "silhouette_distance")),
     "segmentation": ((outlines, "segment"),),
-    "sharpening": ((outlines, "_sharpened"),),
+    "sharpening": ((outlines, "_sharpen_contours"),),
     "contours": ((outlines, "contours"),),
-    "matching": ((cycles, "matched_pairs"),),
+    "matching": ((cycles, "match_pairs"),),
     "edges": ((cycles, "inner_edge_pairs"),),
     "fit": ((cycles, "fit"),),
     "hypotheses": ((tracker, "recover_limbs"),),
@@ -87,7 +87,7 @@ class BusyClock(Clock):
         super().__init__()
         self.spans: dict[str, Span] = {}
 
-    def timed(self, stage: str, function: Callable, *arguments: Any, among: int = 1) -> Any:
+    def time_stage(self, stage: str, function: Callable, *arguments: Any, among: int = 1) -> Any:
         """What a function returns, once it is there; its Span is kept, of each of so many."""
         span, result = timed(function, *arguments)
         self.spans[stage] = Span(span.wall / among, span.busy / among)
@@ -185,7 +185,7 @@ class StageClock:
         self.frames: list[dict[str, float]] = []
         self._now: dict[str, float] = {}
 
-    def timed(self, stage: str, function: Callable) -> Callable:
+    def time_stage(self, stage: str, function: Callable) -> Callable:
         """The function, whose times count for a stage; it returns when its result is there."""
 
         def run(*arguments, **named):
@@ -221,7 +221,7 @@ def stages_timed() -> Iterator[StageClock]:
     with ExitStack() as patches:
         for stage, workers in STAGES.items():
             for owner, name in workers:
-                timed = clock.timed(stage, getattr(owner, name))
+                timed = clock.time_stage(stage, getattr(owner, name))
                 patches.enter_context(patch.object(owner, name, timed))
         step = clock.step(tracker.SilhouetteTracker.step)
         patches.enter_context(patch.object(tracker.SilhouetteTracker, "step", step))

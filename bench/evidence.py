@@ -50,7 +50,7 @@ from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.keypoints.lines import lines_at_events
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents
-from jaxmocap.pipelines.tracking.first_pass import scanned
+from jaxmocap.pipelines.tracking.first_pass import scan_events
 from jaxmocap.pipelines.tracking.motions import Tracked, motions, unsmoothed
 from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.smoothing.batch import CameraFrames, smooth_recording
@@ -179,7 +179,7 @@ class FirstRun:
         tracker = HybridTracker.from_recording(recording)
         events = RecordingEvents.of(recording, videos, "own")
         with forward_readers(videos) as readers:
-            first = scanned(events, tracker, readers, lambda done, total: None, Clock())
+            first = scan_events(events, tracker, readers, lambda done, total: None, Clock())
         return cls(recording, tracker, videos, events, first)
 
     def smoothed(self, kind: Kind) -> Motion:

@@ -131,7 +131,7 @@ def causal(
         if smoother is not None:
             # Between the samples markers are extrapolated, which the smoother does better.
             there = markers[event] if line.sample_index[event] >= 0 else np.nan * markers[event]
-            clock.timed("smooth", smoother.step, time, there, images, report)
+            clock.time_stage("smooth", smoother.step, time, there, images, report)
         if frame < 0:
             pace.keep("sample", total.read())
             continue

@@ -21,7 +21,7 @@ import numpy as np
 from bench import command, kept, seeds
 from bench.clips import ELBOWS
 from bench.figures import Metric, aligned, write_json
-from jaxmocap.body.proportions import LENGTHS, scaled
+from jaxmocap.body.proportions import LENGTHS, scale_skeleton
 from jaxmocap.body.skeleton import WINTER, Skeleton
 from jaxmocap.evaluation.errors import evaluate
 from jaxmocap.formats.recordings.recording import Recording
@@ -184,7 +184,7 @@ def measure(folder: Path, seed: int) -> LengthErrors:
     person = unusual(HEIGHT, np.random.default_rng([seed, 77])).skeleton
     fit, count = fit_recording(recording, True), len(LENGTHS)
     fitted = fit.logarithms[:count]
-    body = scaled(recording.skeleton, jnp.asarray(fitted, recording.skeleton.lengths.dtype))
+    body = scale_skeleton(recording.skeleton, jnp.asarray(fitted, recording.skeleton.lengths.dtype))
     true = replace(recording.skeleton, lengths=person.lengths)
     truth = logarithms(person, recording.skeleton)
     after, before = fit.after[:count], fit.before[:count]

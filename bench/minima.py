@@ -30,7 +30,7 @@ from jaxmocap.body.kinematics import forward, landmark_sites
 from jaxmocap.body.model import on_unmarked_feet
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.skeleton import WINTER
-from jaxmocap.evidence.expansion import expanded
+from jaxmocap.evidence.expansion import expand_terms
 from jaxmocap.evidence.limits import JointLimits
 from jaxmocap.evidence.posture import EasyPosture, LastPose, NearPose, effort_shares
 from jaxmocap.evidence.terms import Measurements, residuals
@@ -168,7 +168,7 @@ def terms(settings: Settings) -> tuple:
 @jax.jit
 def local(model: Model, settings: Settings, aim: Objective, pose: Pose) -> tuple[Array, Array]:
     """Residuals (R,) and their Jacobian (R, 6 + D)."""
-    return expanded(terms(settings), model, pose, aim.measured, bends=False)[:2]
+    return expand_terms(terms(settings), model, pose, aim.measured, bends=False)[:2]
 
 
 @jax.jit

@@ -43,7 +43,7 @@ from jaxmocap.body.kinematics import forward, landmarks
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.body.surfaces.surface import BodyPoints, posed
+from jaxmocap.body.surfaces.surface import BodyPoints, pose_points
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import open_video
 from jaxmocap.evaluation.errors import evaluate
@@ -153,7 +153,7 @@ def points_on_rays() -> Callable[[], Any]:
     one = np.ones((POINTS, 1), np.float32)
     points, truth = BodyPoints(np.zeros((POINTS, 1), np.int32), places, one), relaxed_pose(skeleton)
     camera = camera_at(0.0)
-    pixels = project(camera, posed(forward(skeleton, truth), points))
+    pixels = project(camera, pose_points(forward(skeleton, truth), points))
     lines, across = contour_rays(camera, pixels, jnp.tile(jnp.asarray([1.0, 0.0]), (POINTS, 1)))
     pairs = PointRays(points, lines, across, jnp.ones(POINTS), jnp.ones(POINTS))
     free = jnp.arange(len(skeleton.costs)) < 6

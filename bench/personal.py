@@ -43,7 +43,7 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.morphing import Morphing, shoulders
-from jaxmocap.body.surfaces.surface import Surface, posed, rest_nodes
+from jaxmocap.body.surfaces.surface import Surface, pose_points, rest_nodes
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -84,7 +84,7 @@ HANGING, RAISED = 0.05, 0.3
 LEAST_COSINE, FARTHEST_M = 0.6, 0.06
 # Metres that a unit between normals is worth.
 NORMAL_M = 0.05
-FORWARD, POSED, MOVED = jax.jit(forward), jax.jit(posed), jax.jit(moved_points)
+FORWARD, POSED, MOVED = jax.jit(forward), jax.jit(pose_points), jax.jit(moved_points)
 
 
 def photographed(rig: Rig, folder: Path, seed: int) -> PersonalModel:

@@ -174,7 +174,7 @@ def rival(tracker: HybridTracker, name: str, steps: int) -> Callable[[Frame], En
         return Ended(_elbows(tracker, pose), jnp.asarray(True))
 
     def by_gradient(start: Pose, fields: EdgeFields, grip: Array, aims: Aims) -> Ended:
-        edges = settings.edges.weighted(model, fields, start)
+        edges = settings.edges.weigh(model, fields, start)
         pose, status = refine_body(model, settings, edges, start, aims)
         return Ended(_elbows(tracker, pose), status == int(Status.CONVERGED))
 

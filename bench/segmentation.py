@@ -217,7 +217,7 @@ class Case:
         """(N, H, W, 3) uint8, exposures of the empty room."""
         room = view.scene(self._performer, self._seed).background
         sensor = Sensor.create(room.shape[1::-1], np.random.default_rng([self._seed, 10]))
-        return np.stack([sensor.exposed(room) for _ in range(EXPOSURES)])
+        return np.stack([sensor.expose(room) for _ in range(EXPOSURES)])
 
     def rooms(self, which: str) -> Sequence[Background | None]:
         """The models of them: ``none``, ``learned`` or ``empty``."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.formats.time_series.trc import read_trc
-from jaxmocap.smoothing.facing import averaged, unit
+from jaxmocap.smoothing.facing import average_over_time, unit
 from jaxmocap.smoothing.walking import MIRRORS, Habit, Habits, Walk
 
 MOVEMENTS = ("straight", "turn")
@@ -41,7 +41,7 @@ def _walk(path: Path, stature: float, above: np.ndarray) -> list[Samples]:
     crown, wrists = points["Head"] + above, [points["LWrist"], points["RWrist"]]
     across = wrists[0] - wrists[1]
     ahead = unit(np.stack([across[:, 1], -across[:, 0]], -1))
-    ahead = unit(averaged(ahead, times))
+    ahead = unit(average_over_time(ahead, times))
     walk = Walk.of(times, ahead, crown, wrists, stature)
     hips = (points["LHip"] + points["RHip"]) / 2
     found = []

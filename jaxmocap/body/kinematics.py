@@ -189,7 +189,7 @@ def _points_on_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     points = site_positions(skeleton, frames, sites)
     change = jnp.zeros_like(points)
     if not _is_zero(tangents[1]):
-        shift, spin, turns = _filled(tangents[1])
+        shift, spin, turns = _fill_zeros(tangents[1])
         back = pose.quaternion * jnp.array([1.0, -1.0, -1.0, -1.0], spin.dtype)
         turn = 2 * quaternion_multiply(spin, back)[1:] / jnp.sum(back**2)
         step = jnp.concatenate([shift, turn, turns])
@@ -202,7 +202,7 @@ def _points_on_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
         def along_the_tree(skeleton: Skeleton, sites: Sites) -> Array:
             return site_positions(skeleton, forward(skeleton, pose), sites)
 
-        change = change + jax.jvp(along_the_tree, (skeleton, sites), _filled(others))[1]
+        change = change + jax.jvp(along_the_tree, (skeleton, sites), _fill_zeros(others))[1]
     return points, change
 
 
@@ -217,7 +217,7 @@ def _is_zero(tangents: Any) -> bool:
     return all(map(_symbolic, jax.tree.leaves(tangents, is_leaf=_symbolic)))
 
 
-def _filled(tangents: Any) -> Any:
+def _fill_zeros(tangents: Any) -> Any:
     """Tangents with symbolic zeros as arrays."""
 
     def fill(leaf: Any) -> Array:

@@ -105,7 +105,7 @@ class Motion:
     @property
     def positions_world(self) -> np.ndarray:
         """(T, 3) where the pelvis is, world, Z up, metres."""
-        return _moved(np.asarray(self.poses.position), self.origin_world)
+        return _shift_points(np.asarray(self.poses.position), self.origin_world)
 
     def joints(self) -> dict[str, np.ndarray]:
         """Landmark name -> (T, 3) positions, world, Z up, metres."""
@@ -114,7 +114,7 @@ class Motion:
 
     def joint_positions(self) -> np.ndarray:
         """Positions (T, L, 3) of the ``LANDMARKS``, world, Z up, metres."""
-        return _moved(landmarks_over_time(self.skeleton, self.poses), self.origin_world)
+        return _shift_points(landmarks_over_time(self.skeleton, self.poses), self.origin_world)
 
     def deviations(self) -> dict[str, np.ndarray] | None:
         """Landmark name -> (T, 3) standard deviations, world, metres; None without a report."""
@@ -153,7 +153,7 @@ def near_origin(motion: Motion) -> Motion:
     return replace(motion, poses=motion.poses._replace(position=position), origin_world=origin)
 
 
-def _moved(points: np.ndarray, origin_world: np.ndarray) -> np.ndarray:
+def _shift_points(points: np.ndarray, origin_world: np.ndarray) -> np.ndarray:
     """Points (..., 3) seen from the world's origin; in double precision where it is elsewhere."""
     return points + np.asarray(origin_world, float) if np.any(origin_world) else points
 

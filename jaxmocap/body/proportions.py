@@ -55,7 +55,7 @@ GIRTHS = (
 STATURE = 0.02
 
 
-def scaled(skeleton: Skeleton, logarithms: Numbers) -> Skeleton:
+def scale_skeleton(skeleton: Skeleton, logarithms: Numbers) -> Skeleton:
     """The skeleton with lengths, then girths, multiplied by the exponentials of logarithms (P,).
 
     On the host where these are NumPy's.
@@ -80,8 +80,8 @@ def _factors(
     return namespace(logarithms).exp(scales.astype(skeleton.lengths.dtype) @ logarithms)
 
 
-def stretched(skeleton: Skeleton, points: BodyPoints, logarithms: Array) -> BodyPoints:
-    """Points of the skeleton's body on that of ``scaled``: each stays where it was along its bones.
+def stretch_points(skeleton: Skeleton, points: BodyPoints, logarithms: Array) -> BodyPoints:
+    """Points of a body on that of ``scale_skeleton``: each stays where it was along its bones.
 
     What lies before a bone's joint, or beyond its end, is moved with it and not stretched.
     """

@@ -91,15 +91,15 @@ class HandFlow:
         """
         predicted, measured = [], []
         for path in self.paths:
-            xy, _ = self._projected(path, lag)
-            at_xy, radius = self._projected(path, lag if place_lag is None else place_lag)
+            xy, _ = self._project_hand(path, lag)
+            at_xy, radius = self._project_hand(path, lag if place_lag is None else place_lag)
             measured.append(self._around(at_xy[:-1], radius[:-1]))
             predicted.append(np.diff(xy, axis=0))
         pair = FlowPair(np.stack(measured, 1), np.stack(predicted, 1))
         is_valid = np.isfinite(pair.measured + pair.predicted).all(-1, keepdims=True)
         return FlowPair(*(np.where(is_valid, part, np.nan) for part in pair))
 
-    def _projected(self, path: MarkerPath, lag: float) -> tuple[np.ndarray, np.ndarray]:
+    def _project_hand(self, path: MarkerPath, lag: float) -> tuple[np.ndarray, np.ndarray]:
         """(K + 1, 2) pixels of a hand, and (K + 1,) half the side of the square about it."""
         points = path.at(self.times + lag)
         is_valid = np.isfinite(points).all(-1)

@@ -153,7 +153,7 @@ def _target_points(
     if corners is None:
         hint = hint_of_other_counts([Picture(path.name, path)], board)
         raise InputError(path, f"found no {board.label} board{hint}")
-    pixels_xy = _ordered(path, corners, target.origin_xy)
+    pixels_xy = _order_corners(path, corners, target.origin_xy)
     T_world_board = board_to_world(target.pose)
     T_world_board[:3] = R_world_file @ T_world_board[:3]
     points_world = corners.points_board @ T_world_board[:3, :3].T + T_world_board[:3, 3]
@@ -161,7 +161,9 @@ def _target_points(
     return names, points_world, pixels_xy, T_world_board
 
 
-def _ordered(path: Path, corners: Corners, origin_xy: tuple[float, float] | None) -> np.ndarray:
+def _order_corners(
+    path: Path, corners: Corners, origin_xy: tuple[float, float] | None
+) -> np.ndarray:
     """Pixels in the board's order; with a symmetric board the user states the origin."""
     orders = [corners.pixels_xy, *corners.orders]
     if len(orders) == 1:

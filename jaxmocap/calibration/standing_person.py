@@ -50,11 +50,11 @@ class StandingCamera(NamedTuple):
     roll: float  # of the image about its middle, clockwise where positive, radians
     deviations: np.ndarray  # (3,) standard deviations of these
 
-    def placed(self, camera: Camera) -> Camera:
+    def stand_camera(self, camera: Camera) -> Camera:
         """The same lens above the world's origin, looking along x; the floor is z = 0."""
         c, s = np.cos(self.pitch), np.sin(self.pitch)
         R_cam_world = np.array([[0.0, -1.0, 0.0], [-s, 0.0, -c], [c, 0.0, -s]])
-        R_cam_world[:2] = _turned(R_cam_world[:2].T, self.roll).T
+        R_cam_world[:2] = _turn_places(R_cam_world[:2].T, self.roll).T
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R_cam_world, -R_cam_world @ [0.0, 0.0, self.height]
         return replace(camera, T_cam_world=on_device(T))
@@ -106,7 +106,7 @@ def camera_by_person(
 
     def residuals(x: np.ndarray) -> np.ndarray:
         height, pitch, away = x[0], x[1], x[3:, None]
-        below, level = height - heights, _turned(slopes, -x[2])
+        below, level = height - heights, _turn_places(slopes, -x[2])
         depth = away * np.cos(pitch) + below * np.sin(pitch)
         rows = below * np.cos(pitch) - away * np.sin(pitch)
         off = (rows - level[..., 1] * depth) / DEVIATION_M
@@ -124,7 +124,7 @@ def camera_by_person(
     return StandingCamera(height, pitch, roll, np.sqrt(np.diag(covariance)[:3]))
 
 
-def _turned(xy: np.ndarray, angle: float) -> np.ndarray:
+def _turn_places(xy: np.ndarray, angle: float) -> np.ndarray:
     """Places (..., 2) of an image turned about its middle, clockwise (y is down)."""
     c, s = np.cos(angle), np.sin(angle)
     return xy @ np.array([[c, s], [-s, c]])

@@ -167,7 +167,7 @@ def follow_person(keypoints: Detections, first_xy: np.ndarray | None = None) -> 
         chosen = _largest_person(pixels_xy, sides)
     else:
         first_xy = np.asarray(first_xy, float)
-        chosen = _followed(pixels_xy, sides, first_xy, range(len(pixels_xy)))
+        chosen = _follow_person(pixels_xy, sides, first_xy, range(len(pixels_xy)))
     return replace(keypoints, pixels_xy=pixels_xy).of_people(chosen)
 
 
@@ -182,7 +182,7 @@ def _largest_person(pixels_xy: np.ndarray, sides: np.ndarray) -> np.ndarray:
         chosen = np.full(len(rows), -1)
         chosen[at] = who
         for order in (range(int(at) + 1, len(rows)), range(int(at) - 1, -1, -1)):
-            ahead = _followed(pixels_xy, sides, pixels_xy[at, who], order)
+            ahead = _follow_person(pixels_xy, sides, pixels_xy[at, who], order)
             chosen = np.where(ahead >= 0, ahead, chosen)
         found = rows[chosen >= 0]
         total = float(sizes[found, chosen[found]].sum())
@@ -192,7 +192,7 @@ def _largest_person(pixels_xy: np.ndarray, sides: np.ndarray) -> np.ndarray:
     return best
 
 
-def _followed(
+def _follow_person(
     pixels_xy: np.ndarray, sides: np.ndarray, last_xy: np.ndarray, order: Iterable[int]
 ) -> np.ndarray:
     """(F,) who of each frame's people is the one last at (P, 2), frame by frame; -1 for nobody.

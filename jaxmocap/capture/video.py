@@ -157,7 +157,7 @@ class Video(FrameSource):
     def frames(self, luma: bool = False) -> Iterator[TimedImage]:
         """See ``FrameSource.frames``. The end of a truncated file yields None."""
         next_frame = 0
-        for i, frame in self._decoded():
+        for i, frame in self._decode_frames():
             if i < next_frame:
                 continue
             for missing in range(next_frame, i):
@@ -177,7 +177,7 @@ class Video(FrameSource):
             return None
         return image if self.size in (_UNKNOWN_SIZE, image.shape[1::-1]) else None
 
-    def _decoded(self) -> Iterator[tuple[int, VideoFrame]]:
+    def _decode_frames(self) -> Iterator[tuple[int, VideoFrame]]:
         """Index and frame of all that can be decoded; a broken packet costs only its frames."""
         with self._open() as container:
             stream = container.streams.video[0]

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol, TextIO
 
-from jaxmocap.formats.files.errors import InputError, printable, shortened
+from jaxmocap.formats.files.errors import InputError, printable, shorten_text
 from jaxmocap.formats.files.output_folder import refuse_outputs
 from jaxmocap.formats.files.writing import check_target
 from jaxmocap.formats.recordings.recording_files import input_files
@@ -221,6 +221,6 @@ def exit_code(options: argparse.Namespace, problems: Sequence[str]) -> int:
     """0, or 1 where there are problems, which the last line on stderr then states."""
     if not problems:
         return 0
-    sentence = shortened(printable("; ".join(problems)))
+    sentence = shorten_text(printable("; ".join(problems)))
     print(f"jaxmocap {options.command}: {sentence}", file=sys.stderr)
     return 1

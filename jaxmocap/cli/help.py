@@ -45,14 +45,14 @@ def page(topic: str) -> str:
     return files("jaxmocap").joinpath("docs", f"{topic}.md").read_text(encoding="utf-8")
 
 
-def _printed(topic: str) -> str:
+def _page_text(topic: str) -> str:
     """A page, and below that of the settings what the tracker's records say themselves."""
     if topic != "settings":
         return page(topic)
-    from jaxmocap.formats.settings_file import listed
+    from jaxmocap.formats.settings_file import list_fields
     from jaxmocap.hybrid.settings import Settings
 
-    return f"{page(topic)}\n```toml\n{listed(Settings())}\n```\n"
+    return f"{page(topic)}\n```toml\n{list_fields(Settings())}\n```\n"
 
 
 def contents() -> str:
@@ -73,6 +73,6 @@ def run(options: argparse.Namespace) -> None:
     if options.topic is None:
         print(contents())
     elif sys.stdout.isatty():
-        pydoc.pager(_printed(options.topic))
+        pydoc.pager(_page_text(options.topic))
     else:
-        print(_printed(options.topic), end="")
+        print(_page_text(options.topic), end="")

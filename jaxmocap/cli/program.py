@@ -21,8 +21,8 @@ from jaxmocap.cli.completion import add_completion
 from jaxmocap.cli.results import convert, evaluate, retarget, view
 from jaxmocap.cli.setup import check, keypoints, offsets, plan, scale, sync
 from jaxmocap.cli.tracking import batch, demo, live, track, video, warmup
-from jaxmocap.formats.files.errors import InputError, OutputError, printable, shortened
-from jaxmocap.pipelines.signals import Terminated, raised_on_sigterm
+from jaxmocap.formats.files.errors import InputError, OutputError, printable, shorten_text
+from jaxmocap.pipelines.signals import Terminated, raise_on_sigterm
 
 DONE = 0
 NOT_DONE = 1
@@ -48,7 +48,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print one sentence and leave with 2."""
-        self.exit(BAD_INPUT, f"{self.prog}: {shortened(printable(message))}\n")
+        self.exit(BAD_INPUT, f"{self.prog}: {shorten_text(printable(message))}\n")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error("an argument holds a NUL, which no file's name does")
     options = parser.parse_args(_with_signed_values(texts))
     try:
-        with raised_on_sigterm():
+        with raise_on_sigterm():
             check_report(options)
             code = options.run(options) or DONE
             # What cannot be printed is noticed here, not when the process has ended.
@@ -97,7 +97,7 @@ def _outcome_of(error: BaseException) -> tuple[int, str]:
             return NOT_DONE, "there is not enough memory for it"
         case OSError():
             file = error.filename or "the system"
-            return NOT_DONE, shortened(printable(f"{file}: {error.strerror or error}"))
+            return NOT_DONE, shorten_text(printable(f"{file}: {error.strerror or error}"))
     raise error
 
 

@@ -30,12 +30,12 @@ def namespace(array: Numbers) -> ModuleType:
     return jnp if isinstance(array, jax.Array) else np
 
 
-def packed(tree: Any) -> Array:
+def pack_leaves(tree: Any) -> Array:
     """All numbers of a pytree, leaf after leaf."""
     return jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(tree)])
 
 
-def unpacked(vector: np.ndarray, shapes: Any) -> Any:
+def unpack_leaves(vector: np.ndarray, shapes: Any) -> Any:
     """The pytree of a packed vector.
 
     Args:

@@ -22,7 +22,7 @@ class Clock:
         self.milliseconds: dict[str, list[float]] = {}
         self._runs = runs
 
-    def timed(self, stage: str, function: Callable, *arguments: Any, among: int = 1) -> Any:
+    def time_stage(self, stage: str, function: Callable, *arguments: Any, among: int = 1) -> Any:
         """What a function returns, once it is there; its time is kept, of each of so many."""
         if not self._runs:
             return function(*arguments)

@@ -146,7 +146,7 @@ class Program:
         shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in kept.exported.out_avals]
         return jax.tree.unflatten(kept.structure, shapes)
 
-    def lowered(self, *like: Any) -> Callable[[], Callable]:
+    def lower(self, *like: Any) -> Callable[[], Callable]:
         """Traced and lowered for arguments such as these; what is returned compiles it.
 
         Another thread may do that, since the compiler lets go of the interpreter. What it returns
@@ -164,7 +164,7 @@ class Program:
 
     def beside(self, *like: Any) -> Callable[[], Callable]:
         """The same, and another thread begins to compile it; what is returned waits for that."""
-        return _compiler().submit(self.lowered(*like)).result
+        return _compiler().submit(self.lower(*like)).result
 
     @property
     def kinds(self) -> int:

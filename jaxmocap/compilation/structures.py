@@ -23,7 +23,7 @@ class _UnknownError(Exception):
 def to_json(structure: Any) -> str | None:
     """The structure in JSON; None if it holds containers that cannot be described."""
     try:
-        return json.dumps(_described(structure))
+        return json.dumps(_describe(structure))
     except _UnknownError:
         return None
 
@@ -35,7 +35,7 @@ def from_json(text: str) -> Any:
         ValueError: no such JSON, or a class that is not there any more.
     """
     try:
-        return jax.tree.structure(_filled(json.loads(text)))
+        return jax.tree.structure(_fill(json.loads(text)))
     except (_UnknownError, RecursionError):
         raise ValueError("not a structure that can be restored here") from None
 
@@ -52,8 +52,8 @@ def is_of_this_code(structure: Any) -> bool:
     )
 
 
-def _described(structure: Any) -> Any:
-    children = [_described(child) for child in structure.children()]
+def _describe(structure: Any) -> Any:
+    children = [_describe(child) for child in structure.children()]
     if (node := structure.node_data()) is None:
         return ARRAY
     kind, keys = node
@@ -71,26 +71,26 @@ def _described(structure: Any) -> Any:
     return {name: children}
 
 
-def _filled(described: Any) -> Any:
+def _fill(described: Any) -> Any:
     """The containers, with some object for each array."""
     if described is None:
         return None
     if described == ARRAY:
         return ARRAY
     if isinstance(described, list):
-        return [_filled(child) for child in described]
+        return [_fill(child) for child in described]
     if not isinstance(described, dict) or len(described) != 1:
         raise _UnknownError
     ((name, children),) = described.items()
     if name == DICT and isinstance(children, dict):
-        return {key: _filled(child) for key, child in children.items()}
+        return {key: _fill(child) for key, child in children.items()}
     if not isinstance(children, list):
         raise _UnknownError
     kind = tuple if name == TUPLE else _named_tuple(name)
     if kind is None or len(getattr(kind, "_fields", children)) != len(children):
         raise _UnknownError
     # Not by the class's own constructor, which is code.
-    return tuple.__new__(kind, [_filled(child) for child in children])
+    return tuple.__new__(kind, [_fill(child) for child in children])
 
 
 def _named_tuple(name: str) -> type | None:

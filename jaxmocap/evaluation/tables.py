@@ -45,7 +45,7 @@ def format_table(errors: Errors, before: Errors | None = None) -> str:
             mean, now = old.get(name, {}).get("mean_m"), figures["mean_m"]
             gain = 1 - now / mean if mean and now is not None else None
             row += [_number(mean, 100, 2), _number(gain, 100, 0)]
-    return _aligned(rows)
+    return _align_columns(rows)
 
 
 def _by_row(errors: Errors) -> dict[str, dict]:
@@ -57,7 +57,7 @@ def _number(value: float | None, factor: float, digits: int) -> str:
     return "-" if value is None else f"{factor * value:.{digits}f}"
 
 
-def _aligned(rows: list[list[str]]) -> str:
+def _align_columns(rows: list[list[str]]) -> str:
     """First column to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []

@@ -127,7 +127,7 @@ class EdgeEvidence(Term):
         steep = jnp.sqrt(d**2 + self.bend**2) + self.bend
         return d * jnp.sqrt(2 / (steep + d**2 / truncation) / self.scale)
 
-    def weighted(self, model: Model, fields: EdgeFields, start: Pose) -> WeightedEdges:
+    def weigh(self, model: Model, fields: EdgeFields, start: Pose) -> WeightedEdges:
         """Edges with the weights of points as a pose shows them."""
         available = jnp.asarray(fields.available).T[..., None, None]
         limbs = flesh(arms_of(model.skeleton, forward(model.skeleton, start), model.grips))

@@ -24,7 +24,7 @@ from jaxmocap.body.kinematics import (
 )
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.proportions import scaled
+from jaxmocap.body.proportions import scale_skeleton
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.terms import (
@@ -47,7 +47,7 @@ class Linear(NamedTuple):
     points_jacobian: Array  # (3 L, N)
 
 
-def expanded(
+def expand_terms(
     terms: Sequence[Term], model: Model, pose: Pose, measured: Measurements, bends: bool = True
 ) -> tuple[Array, Array, Array]:
     """All residuals (R,), Jacobian (R, N) and sum of second derivatives times residuals (N, N).
@@ -95,7 +95,7 @@ def expanded(
     return r, J, bending
 
 
-def linearised(
+def linearise_terms(
     terms: Sequence[Term], model: Model, proportions: Array, pose: Pose, measured: Measurements
 ) -> Linear:
     """Residuals about a pose.
@@ -103,16 +103,16 @@ def linearised(
     Args:
         terms: of the evidence.
         model: its skeleton unscaled.
-        proportions: (P,) of ``scaled``; P may be 0.
+        proportions: (P,) of ``scale_skeleton``; P may be 0.
         pose: of the person.
         measured: of this moment.
     """
 
     def resized(logarithms: Array) -> Model:
-        return replace(model, skeleton=scaled(model.skeleton, logarithms))
+        return replace(model, skeleton=scale_skeleton(model.skeleton, logarithms))
 
     person = resized(proportions) if proportions.size else model
-    r, J, _ = expanded(terms, person, pose, measured, bends=False)
+    r, J, _ = expand_terms(terms, person, pose, measured, bends=False)
     skeleton, sites = person.skeleton, landmark_sites(person.skeleton)
     frames = forward(skeleton, pose)
     points = site_positions(skeleton, frames, sites)
@@ -131,7 +131,7 @@ def linearised(
     return Linear(r, J, points.ravel(), points_J)
 
 
-def linearised_term(
+def linearise_term(
     term: Term, model: Model, pose: Pose, measured: Measurements
 ) -> tuple[Array, Array]:
     """A term's residuals (...) about a pose, and their derivatives (..., 6 + D).
@@ -143,7 +143,7 @@ def linearised_term(
         measured: of this moment.
     """
     shape = jax.eval_shape(lambda: term.residual(model, posed_body(model, pose), measured)).shape
-    r, J, _ = expanded((term,), model, pose, measured, bends=False)
+    r, J, _ = expand_terms((term,), model, pose, measured, bends=False)
     return r.reshape(shape), J.reshape(*shape, J.shape[-1])
 
 

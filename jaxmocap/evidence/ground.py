@@ -18,7 +18,7 @@ from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.posture import SOFT, excess, length
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.solvers.robust import shortened
+from jaxmocap.solvers.robust import shorten_residuals
 
 ANKLES = landmark_rows(("ankle_l", "ankle_r"))
 KNEES = landmark_rows(("knee_l", "knee_r"))
@@ -132,4 +132,4 @@ class FeetOnFloor(Term):
         standing = (jnp.min(heights[ANKLES]) - self.ankle)[None] / self.height
         # A smooth minimum of height and 0.
         below = (heights - jnp.sqrt(heights**2 + SOFT_M**2)) / 2
-        return jnp.concatenate([shortened(standing), below / self.height])
+        return jnp.concatenate([shorten_residuals(standing), below / self.height])

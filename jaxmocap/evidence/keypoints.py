@@ -23,7 +23,7 @@ from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.geometry.cameras import Camera, on_host, pixel_rays
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.solvers.robust import shortened
+from jaxmocap.solvers.robust import shorten_residuals
 
 HIPS = landmark_rows(("hip_l", "hip_r"))
 # By their lengths a detector's person is as large as ours.
@@ -123,7 +123,9 @@ def line_residuals(points_world: Array, lines: SightLines, deviation: Array) -> 
     way = jnp.where(is_detected, lines.directions, 0.0)
     off = points_world[..., None, :, :] - lines.origin[..., None, :]
     across = off - jnp.sum(off * way, -1, keepdims=True) * way
-    return shortened(jnp.where(is_detected, across * lines.confidences[..., None] / deviation, 0.0))
+    return shorten_residuals(
+        jnp.where(is_detected, across * lines.confidences[..., None] / deviation, 0.0)
+    )
 
 
 @settings
@@ -161,4 +163,4 @@ class EstimatedDepths(Term):
         beyond = jnp.einsum("lk,ck->cl", body.landmarks - hips, way, precision=HIGHEST)
         is_there = jnp.isfinite(lines.depths) & (lines.confidences > 0)
         off = beyond - jnp.where(is_there, lines.depths, 0.0)
-        return shortened(jnp.where(is_there, off / self.deviation, 0.0)[..., None])[..., 0]
+        return shorten_residuals(jnp.where(is_there, off / self.deviation, 0.0)[..., None])[..., 0]

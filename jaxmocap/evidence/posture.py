@@ -19,7 +19,7 @@ from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_multiply
-from jaxmocap.solvers.robust import shortened
+from jaxmocap.solvers.robust import shorten_residuals
 
 # Where no marker holds the feet, the markers' pose faces so many times less surely.
 UNMARKED_FACING = 3.0
@@ -70,7 +70,7 @@ class MostlyRelaxedPosture(RelaxedPosture):
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(D,)."""
-        return shortened(super().residual(model, body, measured)[:, None])[:, 0]
+        return shorten_residuals(super().residual(model, body, measured)[:, None])[:, 0]
 
 
 @settings
@@ -112,7 +112,7 @@ class Pelvis(Term):
         lean, aside = jnp.dot(trunk, ahead), ahead[0] * trunk[1] - ahead[1] * trunk[0]
         others = jnp.stack([excess(lean - BOW * bent), aside])
         back = -excess(-lean)[None] / self.lean
-        return jnp.concatenate([back, shortened((others / self.lean)[:, None])[:, 0]])
+        return jnp.concatenate([back, shorten_residuals((others / self.lean)[:, None])[:, 0]])
 
 
 def excess(values: Array) -> Array:

@@ -29,14 +29,14 @@ from jaxmocap.geometry.lenses import LENSES
 NEEDED = ("markers", "upright", "facing", "ankles")
 
 
-def checked(model: Any, settings: Any, kind: type) -> tuple[Model, Any]:
+def check_arguments(model: Any, settings: Any, kind: type) -> tuple[Model, Any]:
     """A model, and settings of a kind in its precision.
 
     Raises:
         TypeError: others.
         ValueError: an array of another shape; several numbers in place of a setting.
     """
-    model = checked_model(model)
+    model = check_model(model)
     check_settings("settings", settings, kind)
     return model, in_precision(model, settings)
 
@@ -52,7 +52,7 @@ def in_precision(model: Model, tree: Any) -> Any:
     return jax.tree.map(convert, tree)
 
 
-def checked_model(model: Any) -> Model:
+def check_model(model: Any) -> Model:
     """A model, all of it in the precision of its bones' lengths.
 
     Raises:
@@ -87,7 +87,7 @@ def _camera_shapes(cameras: Camera) -> dict[str, tuple[int, ...]]:
     return {**intrinsic, "T_cam_world": (C, 4, 4)}
 
 
-def checked_markers(model: Model, markers_world: Any) -> Array:
+def check_markers(model: Model, markers_world: Any) -> Array:
     """The model's markers (M, 3).
 
     Raises:
@@ -98,7 +98,7 @@ def checked_markers(model: Model, markers_world: Any) -> Array:
     return floating("markers_world", markers_world, shape, model.dtype, model)
 
 
-def checked_pose(name: str, model: Model, pose: Any, count: tuple[int, ...] = ()) -> Pose:
+def check_pose(name: str, model: Model, pose: Any, count: tuple[int, ...] = ()) -> Pose:
     """A pose of the model, or as many as ``count`` says.
 
     Raises:
@@ -110,7 +110,7 @@ def checked_pose(name: str, model: Model, pose: Any, count: tuple[int, ...] = ()
     return checked_parts(name, pose, Pose, each, model.dtype, model)
 
 
-def checked_measurements(
+def check_measurements(
     name: str, model: Model, measured: Mapping[str, Any], count: int
 ) -> dict[str, Any]:
     """What was measured of so many events; terms of one's own may ask for what is not listed here.

@@ -18,7 +18,7 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Frames, forward, jacobian
 from jaxmocap.body.pose import Pose, retract
-from jaxmocap.body.proportions import scaled
+from jaxmocap.body.proportions import scale_skeleton
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
 from jaxmocap.body.tree import ROOT_DOF, Tree
@@ -29,7 +29,7 @@ from jaxmocap.geometry.cameras import (
     depth,
     depth_gradient,
     projection_jacobian,
-    turned,
+    turn_camera,
 )
 from jaxmocap.geometry.outlines import Discs, depth_along
 from jaxmocap.geometry.rotations import HIGHEST
@@ -40,7 +40,7 @@ from jaxmocap.images.silhouette_grid import (
     coverage_fit,
     distances,
     frontmost,
-    halved,
+    halve_grid,
 )
 
 # Parts of the arms that have silhouettes of their own.
@@ -75,9 +75,9 @@ class SilhouetteGrids(NamedTuple):
         legs = self.legs and self.legs._replace(person=call(self.legs.person))
         return self._replace(person=call(self.person), forearms=call(self.forearms), legs=legs)
 
-    def halved(self) -> "SilhouetteGrids":
+    def halve(self) -> "SilhouetteGrids":
         """The same on grids of half as many cells to a side."""
-        coarse, legs = self.each_grid(halved), self.legs and _coarser(self.legs.region)
+        coarse, legs = self.each_grid(halve_grid), self.legs and _coarser(self.legs.region)
         coarse = coarse._replace(region=_coarser(self.region))
         return coarse._replace(legs=coarse.legs and coarse.legs._replace(region=legs))
 
@@ -114,7 +114,7 @@ class Silhouettes:
         """Of a squared difference between what is drawn and what a camera shows."""
         return 1 / float(self.deviation) ** 2
 
-    def weighted(self, grids: SilhouetteGrids) -> SilhouetteGrids:
+    def weigh(self, grids: SilhouetteGrids) -> SilhouetteGrids:
         """Grids (...) weighted as in the settings; those on the host stay there."""
 
         def by(weight: Array) -> Callable[[Grid], Grid]:
@@ -209,23 +209,23 @@ def silhouette_fit(
 
     Args:
         skeleton: unscaled.
-        proportions: (P,) of ``scaled``; None where body and camera are as stated: N = 6 + D.
+        proportions: (P,) of ``scale_skeleton``; None for body and camera as stated: N = 6 + D.
         pose: of the person.
         camera: that sees it.
         grids: what it saw.
         softness: cells.
     """
     bones = skeleton.tree.drawn
-    person = skeleton if proportions is None else scaled(skeleton, proportions)
+    person = skeleton if proportions is None else scale_skeleton(skeleton, proportions)
     frames = forward(person, pose)
     flesh, discs, visible = project_limbs(person, frames, camera, grids)
     leverage = _leverage(person, frames, camera, flesh, discs, grids.region, bones)
     if proportions is not None:
 
         def limbs(shared: Array) -> Discs:
-            own = scaled(skeleton, shared[:-3])
+            own = scale_skeleton(skeleton, shared[:-3])
             body = cones(own, forward(own, pose), bones)
-            there = turned(camera, shared[-3:])
+            there = turn_camera(camera, shared[-3:])
             outlines = project_flesh(own.tree, there, body, grids.per_metre)
             return discs_in_region(grids.region, outlines)
 

@@ -40,9 +40,9 @@ from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.mot import motion_from_angles, read_mot, write_isb, write_mot
 from jaxmocap.formats.time_series.resampling import (
     even_times,
-    resampled_armature,
-    resampled_markers,
-    resampled_motion,
+    resample_armature,
+    resample_markers,
+    resample_motion,
 )
 from jaxmocap.formats.time_series.tables import Markers
 from jaxmocap.formats.time_series.trc import write_trc
@@ -173,7 +173,7 @@ def _write_markers(conversion: _Conversion, markers: Markers) -> None:
     if conversion.options.up == Y_UP:
         markers = from_world(markers, Y_UP)
     columns = (3 if markers.orientations is None else 12) * len(markers.names)
-    markers = _at_rate(conversion, markers, columns, resampled_markers)
+    markers = _at_rate(conversion, markers, columns, resample_markers)
     if markers.orientations is not None and kind != ".csv":
         conversion.warnings.append(
             f"left out: the markers' orientations, which {kind} does not hold"
@@ -239,7 +239,7 @@ def _write_armature(conversion: _Conversion, motion: Motion | Armature) -> None:
         armature = armature_of(motion, names or DEFAULT_CONVENTION[kind])
     else:
         armature = replace(motion, names=_joint_names(conversion, motion.names))
-    armature = _at_rate(conversion, armature, 9 * len(armature.names), resampled_armature)
+    armature = _at_rate(conversion, armature, 9 * len(armature.names), resample_armature)
     armature = rotated_armature(armature, R_FILE_WORLD)
     if kind == ".glb":
         write_gltf(conversion.target, armature)
@@ -266,7 +266,7 @@ def _write_motion(conversion: _Conversion, motion: Motion | Armature) -> None:
         if kind == ".npz":
             made_up = "added: masses, girths and limits of a person with bones as long"
             conversion.warnings.append(made_up)
-    motion = _at_rate(conversion, motion, 9 * len(motion.skeleton.tree.bones), resampled_motion)
+    motion = _at_rate(conversion, motion, 9 * len(motion.skeleton.tree.bones), resample_motion)
     if kind == ".npz":
         save_motion(conversion.target, motion)
     elif conversion.options.names == OPENSIM:

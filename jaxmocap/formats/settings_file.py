@@ -28,10 +28,10 @@ WIDTH = 96
 
 def read_settings(path: str | Path, settings: T) -> T:
     """A settings record with the fields that a TOML file names; InputError where one is wrong."""
-    return _changed(settings, Path(path), "", read_toml(path))
+    return _change_settings(settings, Path(path), "", read_toml(path))
 
 
-def _changed(settings: T, path: Path, where: str, entries: Any) -> T:
+def _change_settings(settings: T, path: Path, where: str, entries: Any) -> T:
     named = {each.name: each for each in fields(settings)}  # type: ignore[arg-type]
     table = TomlTable(path, where and f"[{where}]", entries, named)
     hints = get_type_hints(type(settings))
@@ -39,7 +39,7 @@ def _changed(settings: T, path: Path, where: str, entries: Any) -> T:
     for name, entry in table.entries.items():
         now = getattr(settings, name)
         if is_dataclass(now):
-            values[name] = _changed(now, path, f"{where}.{name}" if where else name, entry)
+            values[name] = _change_settings(now, path, f"{where}.{name}" if where else name, entry)
         else:
             values[name] = _value(table, named[name], hints[name])
     return replace(settings, **values)  # type: ignore[type-var]
@@ -47,7 +47,7 @@ def _changed(settings: T, path: Path, where: str, entries: Any) -> T:
 
 def _value(table: TomlTable, field: Field, kind: Any) -> Any:
     """An entry, of its field's kind and within its range."""
-    entry, name = table.required(field.name), field.name
+    entry, name = table.require(field.name), field.name
     if choices := _choices(kind):
         if entry not in choices or isinstance(entry, bool) != isinstance(choices[0], bool):
             expected = ", ".join(map(toml_value, choices))
@@ -71,7 +71,7 @@ def _choices(kind: Any) -> tuple:
     return get_args(kind) if get_origin(kind) is Literal else ()
 
 
-def listed(settings: Any) -> str:
+def list_fields(settings: Any) -> str:
     """Every field of a settings record: its name, its value, what else it may be, its meaning."""
     return "\n".join(_lines(settings, ""))
 

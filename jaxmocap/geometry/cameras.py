@@ -138,7 +138,7 @@ def lens_problem(
     return None
 
 
-def turned(camera: Camera, turn_cam: Array) -> Camera:
+def turn_camera(camera: Camera, turn_cam: Array) -> Camera:
     """A camera turned about its centre by a rotation vector (3,) in its own frame, radians."""
     T = jnp.matmul(exp(turn_cam), camera.T_cam_world[:3], precision=HIGHEST)
     return replace(camera, T_cam_world=camera.T_cam_world.at[:3].set(T))
@@ -304,8 +304,8 @@ def stack_cameras(cameras: Sequence[Camera]) -> Camera:
     """
     if len({camera.lens for camera in cameras}) > 1:
         raise ValueError("the cameras' lenses are of several kinds, expected one kind")
-    return jax.tree.map(_stacked, *cameras)
+    return jax.tree.map(_stack_cameras, *cameras)
 
 
-def _stacked(*leaves: Array) -> Array:
+def _stack_cameras(*leaves: Array) -> Array:
     return on_device(np.stack([np.asarray(leaf) for leaf in leaves]), leaves[0].dtype)

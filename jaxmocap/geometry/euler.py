@@ -63,7 +63,7 @@ class _Places(NamedTuple):
 
     def triples(self, ways: np.ndarray) -> np.ndarray:
         """Both ways (..., J, 2, 3) less than a turn from the middles: triples (..., J, 2 K, 3)."""
-        near = self.middle + wrapped(ways - self.middle)
+        near = self.middle + wrap_angles(ways - self.middle)
         back = np.where(self.is_free, 0.0, np.where(near > self.middle, -1.0, 1.0))
         every = near[..., None, :] + back[..., None, :] * self.turns
         return every.reshape(*ways.shape[:-2], -1, 3)
@@ -80,7 +80,7 @@ class _Places(NamedTuple):
         for k in range(3):
             step = after[..., None, :, k] - before[..., :, None, k]
             if self.is_free[..., k].any():
-                step = np.where(self.is_free[..., k, None], wrapped(step), step)
+                step = np.where(self.is_free[..., k, None], wrap_angles(step), step)
             squares = squares + step * step
         return np.minimum(squares, _DEAREST_STEP)
 
@@ -117,7 +117,7 @@ def continuous_euler(
     return angles
 
 
-def eased_near_lock(angles: np.ndarray, order: str) -> np.ndarray:
+def ease_near_lock(angles: np.ndarray, order: str) -> np.ndarray:
     """Make the steps of angles (T, J, 3) past gimbal lock smaller, where a degree of error allows.
 
     A joint that passes lock a few degrees aside turns its outer angles one against the other by up
@@ -237,7 +237,7 @@ def _step(
 def _ways(angles: np.ndarray, order: str) -> np.ndarray:
     """Both triples (T, J, 2, 3) of customary ones (T, J, 3), these first but for equal axes."""
     same = order[0] == order[2]
-    other = wrapped(angles * [1, -1, 1] + (np.pi, 0.0 if same else np.pi, np.pi))
+    other = wrap_angles(angles * [1, -1, 1] + (np.pi, 0.0 if same else np.pi, np.pi))
     return np.stack((other, angles) if same else (angles, other), 2)
 
 
@@ -279,6 +279,6 @@ def _in_lock(
     return np.column_stack([outer, rest.as_rotvec()[:, "XYZ".index(order[2])]])
 
 
-def wrapped(angles: np.ndarray) -> np.ndarray:
+def wrap_angles(angles: np.ndarray) -> np.ndarray:
     """Angles by whole turns between -pi and pi."""
     return angles - 2 * np.pi * np.round(angles / (2 * np.pi))

@@ -126,7 +126,7 @@ def hull_axes(x: Array, y: Array, radii: Array) -> tuple[Array, Array, Array, Ar
     return u_x, u_y, jnp.sqrt(squared + 1e-12), sine
 
 
-def joined(pieces: tuple[Pieces, Pieces]) -> Outline:
+def join_pieces(pieces: tuple[Pieces, Pieces]) -> Outline:
     """The points of sides and arcs in rows, of hulls of any shape (...)."""
 
     def row(name: str) -> Array:
@@ -157,7 +157,7 @@ def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
         jnp.moveaxis(jnp.broadcast_to(part, discs.radii.shape), -1, 0)
         for part in (discs.radii, open_ends)
     )
-    return joined(outline_pieces(centres[0], centres[1], radii, along, around, ends))
+    return join_pieces(outline_pieces(centres[0], centres[1], radii, along, around, ends))
 
 
 class Touch(NamedTuple):

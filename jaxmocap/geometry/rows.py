@@ -65,12 +65,12 @@ class GatheredRows:
         return np.empty((self._count, *part.shape[1:]), part.dtype)
 
 
-def mapped(rows: Rows, function: Callable[[np.ndarray], np.ndarray]) -> ComputedRows:
+def map_rows(rows: Rows, function: Callable[[np.ndarray], np.ndarray]) -> ComputedRows:
     """What a function makes of rows (N, ...), of as many and as large ones."""
     return ComputedRows(rows.shape, lambda which: function(rows[which]))
 
 
-def taken(rows: Rows, order: np.ndarray) -> ComputedRows:
+def take_rows(rows: Rows, order: np.ndarray) -> ComputedRows:
     """The rows of these indices (N,)."""
     return ComputedRows((len(order), *rows.shape[1:]), lambda which: rows[order[which]])
 

@@ -106,7 +106,7 @@ def _drift(settings: ElbowSearchSettings, arm: Arms, log_weights: Array, elapsed
     return jnp.log(spread + 1e-20)
 
 
-def believed_elbows(arms: Arms, turn: Array) -> Array:
+def expected_elbows(arms: Arms, turn: Array) -> Array:
     """Elbows (2, 3) of the markers' arms with their forearms turned by (2, 3) ``turn``."""
 
     def of_arm(arm: Arms, vector: Array) -> Array:

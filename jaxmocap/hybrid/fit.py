@@ -19,7 +19,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, beyond_limits, difference, retract
 from jaxmocap.evidence.edges import EdgeFields, WeightedEdges
-from jaxmocap.evidence.expansion import expanded
+from jaxmocap.evidence.expansion import expand_terms
 from jaxmocap.evidence.markers import Goals, off_targets
 from jaxmocap.evidence.terms import Measurements, Term, residuals
 from jaxmocap.geometry.rotations import HIGHEST
@@ -73,12 +73,12 @@ def refine_body(
     """
     return jax.lax.cond(
         jnp.any(jnp.asarray(edges.fields.available)),
-        partial(_descended, model, settings, edges, start, aims, exact),
+        partial(_descend, model, settings, edges, start, aims, exact),
         lambda: (start, no_status()),
     )
 
 
-def _descended(
+def _descend(
     model: Model, settings: Settings, edges: WeightedEdges, start: Pose, aims: Aims, exact: bool
 ) -> tuple[Pose, Array]:
     # Here, since optimistix takes half a second to import, which the simplex does not need.
@@ -95,7 +95,7 @@ def _descended(
         scale = scale * jnp.where(aims.free, 1.0, HELD)
     about = jax.lax.stop_gradient(_FromStart(model, terms, measured, start, scale))
     found = least_squares(
-        _whitened, jnp.zeros_like(scale), about, method=own.method, largest_steps=own.steps,
+        _whiten, jnp.zeros_like(scale), about, method=own.method, largest_steps=own.steps,
         tolerance=own.tolerance,
     )  # fmt: skip
     pose = about.pose(found.point)
@@ -117,17 +117,17 @@ class _FromStart(NamedTuple):
 
 
 @jax.custom_jvp
-def _whitened(point: Array, about: _FromStart) -> Array:
+def _whiten(point: Array, about: _FromStart) -> Array:
     return residuals(about.terms, about.model, about.pose(point), about.measured)
 
 
-@_whitened.defjvp
-def _whitened_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+@_whiten.defjvp
+def _whiten_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     """By the formulas of the body's derivatives; nothing but the point moves."""
     (point, about), (change, _) = primals, tangents
     model, terms, measured, _, _ = about
     there = about.pose(point)
-    r, J, _ = expanded(terms, model, there, measured, bends=False)
+    r, J, _ = expand_terms(terms, model, there, measured, bends=False)
     step = jax.jvp(lambda point: difference(about.pose(point), there), (point,), (change,))[1]
     return r, jnp.matmul(J, step, precision=HIGHEST)
 

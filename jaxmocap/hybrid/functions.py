@@ -31,10 +31,10 @@ from jaxmocap.compilation.programs import Program, program
 from jaxmocap.evidence.edges import EdgeFields, WeightedEdges
 from jaxmocap.evidence.markers import Goals
 from jaxmocap.evidence.shapes import (
-    checked,
-    checked_markers,
-    checked_model,
-    checked_pose,
+    check_arguments,
+    check_markers,
+    check_model,
+    check_pose,
     in_precision,
 )
 from jaxmocap.hybrid.elbow_search import no_belief
@@ -46,7 +46,7 @@ from jaxmocap.hybrid.refine import follow_elbows, search_elbows
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import nowhere
 from jaxmocap.images.regions import Region
-from jaxmocap.smoothing.functions import Events, SmoothMotion, checked_events, smooth_events
+from jaxmocap.smoothing.functions import Events, SmoothMotion, check_events, smooth_events
 
 
 def landmarks(model: Model, pose: Pose) -> Array:
@@ -63,8 +63,8 @@ def landmarks(model: Model, pose: Pose) -> Array:
         >>> points_world.shape == (len(LANDMARKS), 3)
         True
     """
-    model = checked_model(model)
-    pose = checked_pose("pose", model, pose)
+    model = check_model(model)
+    pose = check_pose("pose", model, pose)
     return _LANDMARKS(model.skeleton, pose)
 
 
@@ -102,13 +102,13 @@ def solve(
         >>> pose.angles.shape
         (21,)
     """
-    model, settings = checked(model, settings, Settings)
-    markers = checked_markers(model, markers_world)
-    return _solved(model, settings, markers, start and checked_pose("start", model, start))
+    model, settings = check_arguments(model, settings, Settings)
+    markers = check_markers(model, markers_world)
+    return _solve_pose(model, settings, markers, start and check_pose("start", model, start))
 
 
 @program("quick")
-def _solved(model: Model, settings: Settings, markers: Array, start: Pose | None) -> Pose:
+def _solve_pose(model: Model, settings: Settings, markers: Array, start: Pose | None) -> Pose:
     before = nowhere(model) if start is None else (start, standing(model, start))
     return solve_ik(model, settings.ik, *before, markers).pose
 
@@ -151,15 +151,15 @@ def observe(
         >>> observe(model, settings, pose, np.zeros((480, 640), np.uint8)).elbows.shape
         (2, 3)
     """
-    model, settings = checked(model, settings, Settings)
-    pose = checked_pose("pose", model, pose)
+    model, settings = check_arguments(model, settings, Settings)
+    pose = check_pose("pose", model, pose)
     each = [images] if images is None or isinstance(images, np.ndarray) else list(images)
     if len(each) != model.camera_count or model.cameras is None:
         raise ValueError(f"found {len(each)} images, expected one for each of the model's "
                          f"{model.camera_count} cameras, None where there is none")  # fmt: skip
     region = _regions(model, settings, pose)
     fields, _ = edge_fields(settings, no_thresholds(model.camera_count), each, region)
-    return _searched(model, settings, pose, in_precision(model, fields))
+    return _search_elbows(model, settings, pose, in_precision(model, fields))
 
 
 @program("quick")
@@ -170,14 +170,14 @@ def _regions(model: Model, settings: Settings, pose: Pose) -> Region:
 
 
 @program("quick")
-def _searched(model: Model, settings: Settings, pose: Pose, fields: EdgeFields) -> Observation:
+def _search_elbows(model: Model, settings: Settings, pose: Pose, fields: EdgeFields) -> Observation:
     """The fields, where the search has the elbows, and the outlines as they then show."""
     arms, belief = _arms(model, pose), no_belief(settings.elbow_search, pose)
     elbows = arms.elbow
     if settings.search:
         _, elbows = search_elbows(model, settings, arms, fields, belief)
-    followed = _followed(model, settings, pose, elbows)
-    return Observation(settings.edges.weighted(model, fields, followed), elbows)
+    followed = _follow_elbows(model, settings, pose, elbows)
+    return Observation(settings.edges.weigh(model, fields, followed), elbows)
 
 
 def refine(model: Model, settings: Settings, pose: Pose, observation: Observation) -> Pose:
@@ -209,17 +209,17 @@ def refine(model: Model, settings: Settings, pose: Pose, observation: Observatio
         >>> refine(model, settings, pose, observation).angles.shape
         (21,)
     """
-    model, settings = checked(model, settings, Settings)
-    pose = checked_pose("pose", model, pose)
+    model, settings = check_arguments(model, settings, Settings)
+    pose = check_pose("pose", model, pose)
     if settings.refine == "none" or model.cameras is None:
         return pose
-    return _refined(model, settings, pose, _checked_observation(model, settings, observation))
+    return _refine_pose(model, settings, pose, _check_observation(model, settings, observation))
 
 
 @program("quick")
-def _refined(model: Model, settings: Settings, pose: Pose, observed: Observation) -> Pose:
+def _refine_pose(model: Model, settings: Settings, pose: Pose, observed: Observation) -> Pose:
     held = jax.lax.stop_gradient((model, settings, pose, observed.elbows))
-    followed = _followed(*held)
+    followed = _follow_elbows(*held)
     if settings.refine == "search":
         refined = _going_along(pose, followed)
     elif settings.refine == "gradient":
@@ -231,7 +231,7 @@ def _refined(model: Model, settings: Settings, pose: Pose, observed: Observation
     return jax.tree.map(lambda new, old: jnp.where(has_image, new, old), refined, pose)
 
 
-def _followed(model: Model, settings: Settings, pose: Pose, elbows: Array) -> Pose:
+def _follow_elbows(model: Model, settings: Settings, pose: Pose, elbows: Array) -> Pose:
     """The body with its elbows where they are expected, its markers held."""
     if not settings.search:
         return pose
@@ -279,14 +279,14 @@ def smooth(model: Model, settings: Settings, events: Events) -> SmoothMotion:
         >>> motion.joints()["elbow_r"].shape == (len(events.times), 3)
         True
     """
-    model, settings = checked(model, settings, Settings)
-    return _SMOOTH(model, settings.smoothing, checked_events(model, events))
+    model, settings = check_arguments(model, settings, Settings)
+    return _SMOOTH(model, settings.smoothing, check_events(model, events))
 
 
 _SMOOTH = Program(smooth_events, "smooth", effort="quick")
 
 
-def _checked_observation(model: Model, settings: Settings, observation: Any) -> Observation:
+def _check_observation(model: Model, settings: Settings, observation: Any) -> Observation:
     """What ``observe`` found of this model's cameras, by these settings."""
     check_kind("observation", observation, Observation)
     C, K, S = model.camera_count, settings.directions, settings.samples

@@ -14,7 +14,7 @@ from jax import Array
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.evidence.expansion import expanded, residuals_and_pull
+from jaxmocap.evidence.expansion import expand_terms, residuals_and_pull
 from jaxmocap.evidence.terms import Measurements, Term, residuals
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.solvers.descent import (
@@ -82,7 +82,7 @@ def pose_at_minimum(
     pose, status = jax.lax.stop_gradient(
         _lowest(_PROBLEM if bends else _LINEAR, *held, steps, is_near)
     )
-    return following(_moved, evidence, pose), status
+    return following(_move_minimum, evidence, pose), status
 
 
 class _Evidence(NamedTuple):
@@ -103,7 +103,7 @@ def _residuals(evidence: _Evidence, pose: Pose) -> Array:
 @partial(jax.jit, inline=True)
 def _local(evidence: _Evidence, pose: Pose) -> Local:
     model, terms, measured, _ = evidence
-    return Local(*expanded(terms, model, pose, measured))
+    return Local(*expand_terms(terms, model, pose, measured))
 
 
 def _room(evidence: _Evidence, pose: Pose) -> tuple[Array, Array]:
@@ -118,7 +118,7 @@ def _room(evidence: _Evidence, pose: Pose) -> tuple[Array, Array]:
 @partial(jax.jit, inline=True)
 def _straight(evidence: _Evidence, pose: Pose) -> Local:
     model, terms, measured, _ = evidence
-    return Local(*expanded(terms, model, pose, measured, bends=False))
+    return Local(*expand_terms(terms, model, pose, measured, bends=False))
 
 
 _PROBLEM = Problem(_residuals, _local, retract, _room)
@@ -200,9 +200,9 @@ class _About(NamedTuple):
         return jax.lax.while_loop(unsettled, limited, first)[1]
 
 
-def _moved(evidence: _Evidence, pose: Pose) -> Pose:
+def _move_minimum(evidence: _Evidence, pose: Pose) -> Pose:
     """Where a pose at its minimum goes as the evidence changes."""
-    there, about = jax.lax.stop_gradient(_polished(jax.lax.stop_gradient(evidence), pose))
+    there, about = jax.lax.stop_gradient(_polish_minimum(jax.lax.stop_gradient(evidence), pose))
     here = _at_limits(evidence, there, about.moves)
     model, terms, measured, _ = evidence
     changes = residuals_and_pull(terms, model, here, measured, about.local.residuals)
@@ -210,7 +210,7 @@ def _moved(evidence: _Evidence, pose: Pose) -> Pose:
     return retract(_at_limits(evidence, pose, about.moves), step)
 
 
-def _polished(evidence: _Evidence, pose: Pose) -> tuple[Pose, _About]:
+def _polish_minimum(evidence: _Evidence, pose: Pose) -> tuple[Pose, _About]:
     """The minimum, as exactly as the precision allows, and the residuals there."""
 
     def polish(carry: tuple, _: None) -> tuple[tuple, None]:

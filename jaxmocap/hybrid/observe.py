@@ -16,7 +16,7 @@ from jaxmocap.body.arms import Arms
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.images.edges import Thresholds, distance_fields, equalised, to_grey
+from jaxmocap.images.edges import Thresholds, distance_fields, equalise_levels, to_grey
 from jaxmocap.images.regions import Region, crop, region_around
 
 # Canny's thresholds of both arms in each camera, which the next frame begins with.
@@ -71,7 +71,7 @@ def edge_fields(
             return thresholds[camera]
         each, before = [], thresholds[camera]
         if detection.equalise == "image":
-            image, first = equalised(to_grey(image), detection, before[0])
+            image, first = equalise_levels(to_grey(image), detection, before[0])
             before = (first, before[1])
         for arm in range(2):
             finer = scales[camera, arm] / spacing

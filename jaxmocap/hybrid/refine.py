@@ -28,7 +28,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.evidence.markers import Goals, are_present
 from jaxmocap.hybrid.balance import bow_on_feet
-from jaxmocap.hybrid.elbow_search import ElbowBelief, believed_elbows, search, without_image
+from jaxmocap.hybrid.elbow_search import ElbowBelief, expected_elbows, search, without_image
 from jaxmocap.hybrid.fit import Aims, no_status, refine_arms, refine_body
 from jaxmocap.hybrid.ik import IKResult, goal_distances, goals_of, reach
 from jaxmocap.hybrid.settings import Settings
@@ -101,12 +101,12 @@ def refine_event(
     if edges is not None:
         pose = _last_unless_lost(model, settings, goals, belief, pose)
         belief, elbows = search_elbows(model, settings, arms, edges, belief)
-    pose, centre, free, balanced = _balanced(model, settings, solved.ik.pose, pose, bow_factors)
+    pose, centre, free, balanced = _balance_pose(model, settings, solved.ik.pose, pose, bow_factors)
     if edges is not None:
         pose = follow_elbows(model, settings, goals, pose, free, elbows)
         aims = Aims(goals, elbows, centre, free)
         pose, status = fit(model, settings, edges, pose, aims, arms.grip)
-        belief = _updated(belief, arms, _arms(model, pose), edges, pose)
+        belief = _update_belief(belief, arms, _arms(model, pose), edges, pose)
     elif settings.balance:
         met = lambda: reach(model, settings.ik, {"goals": goals}, pose, free)  # noqa: E731
         pose = jax.lax.cond(balanced, met, lambda: pose)
@@ -176,10 +176,10 @@ def search_elbows(
         return belief, without_image(settings.elbow_search, belief)[0]
 
     belief, turn = jax.lax.cond(jnp.any(jnp.asarray(fields.available)), by_image, without)
-    return belief, believed_elbows(arms, turn)
+    return belief, expected_elbows(arms, turn)
 
 
-def _balanced(
+def _balance_pose(
     model: Model, settings: Settings, alone: Pose, pose: Pose, bow_factors: Array
 ) -> tuple[Pose, Pose, Array, Array]:
     """Where the spine bows: the pose to go on from, the priors' centre, who may move, whether.
@@ -215,12 +215,12 @@ def fit(
     if settings.refine == "search":
         return pose, no_status()
     if settings.refine == "gradient":
-        edges = settings.edges.weighted(model, fields, pose)
+        edges = settings.edges.weigh(model, fields, pose)
         return refine_body(model, settings, edges, pose, aims)
     return refine_arms(model, settings, fields, pose, grip_targets, aims.elbows), no_status()
 
 
-def _updated(
+def _update_belief(
     belief: ElbowBelief, arms: Arms, refined: Arms, fields: EdgeFields, pose: Pose
 ) -> ElbowBelief:
     """The belief with the turns from the markers' forearms to those refined by a new image."""

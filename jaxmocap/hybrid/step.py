@@ -90,7 +90,7 @@ class EventFields(NamedTuple):
         return cls(distances, available, which)
 
 
-def balanced_by(model: Model, settings: Settings) -> Array:
+def bow_shares(model: Model, settings: Settings) -> Array:
     """(S,) p_i of the balance heuristic, of a person with S hinges of the spine; 0 without it."""
     if not settings.balance:
         return jnp.zeros(len(spine_dofs(model.skeleton)), model.dtype)
@@ -185,7 +185,7 @@ def refine_events(
 # What runs once is not optimised. Live, the tenth that an image's refinement would take longer
 # counts; offline the first start.
 PLACE = Program(place, "place", effort="once")
-BALANCE = Program(balanced_by, "balance", effort="once")
+BALANCE = Program(bow_shares, "balance", effort="once")
 SOLVE = Program(solve_event, "solve", effort="quick")
 REFINE = Program(refine_one, "refine", effort="full")
 SEARCH = Program(refine_one, "search", effort="quick")
@@ -231,12 +231,12 @@ class ChunkedEvents:
         """(EVENTS, M, 3)."""
         return self._markers[rows].astype(self._model.dtype)
 
-    def elapsed(self, rows: np.ndarray) -> np.ndarray:
+    def elapsed_seconds(self, rows: np.ndarray) -> np.ndarray:
         """(EVENTS,) seconds since the event before."""
         before = self._times[np.maximum(rows - 1, 0)]
         return (self._times[rows] - before).astype(self._model.dtype)
 
-    def solved(
+    def solve_chunks(
         self, solve: Callable, beside: ThreadPoolExecutor
     ) -> Iterator[tuple[range, Solved, Future[tuple[EventFields | None, int]]]]:
         """All chunks in turn, each solved, and observed beside."""
@@ -244,10 +244,10 @@ class ChunkedEvents:
         for first in range(0, total, EVENTS):
             events = range(first, min(first + EVENTS, total))
             markers = self.markers(self.rows(events))
-            last, solved = self._clock.timed(
+            last, solved = self._clock.time_stage(
                 "solve", self._each, solve, last, markers, among=EVENTS
             )
-            yield events, solved, beside.submit(self._observed, events, solved)
+            yield events, solved, beside.submit(self._observe_images, events, solved)
 
     def _each(
         self, solve: Callable, last: tuple[Pose, FootPlacement], markers: np.ndarray
@@ -259,7 +259,7 @@ class ChunkedEvents:
             last = every[-1].ik.pose, every[-1].ik.feet
         return last, jax.tree.map(lambda *parts: np.stack(parts), *every)
 
-    def _observed(self, events: range, solved: Solved) -> tuple[EventFields | None, int]:
+    def _observe_images(self, events: range, solved: Solved) -> tuple[EventFields | None, int]:
         """Fields of a chunk's images, in order: thresholds are remembered; how many have one."""
         if solved.region is None:
             return None, 0
@@ -272,7 +272,7 @@ class ChunkedEvents:
             if any(image is not None for image in images):
                 self._clock.keep("decode", began)
                 own = jax.tree.map(lambda part, i=row: part[i], region)
-                fields[row], self._thresholds = self._clock.timed(
+                fields[row], self._thresholds = self._clock.time_stage(
                     "observe", edge_fields, settings, self._thresholds, images, own
                 )
         nothing, _ = edge_fields(

@@ -146,14 +146,14 @@ class HybridTracker:
         model, settings, clock = self.model, self.settings, clock or Clock(False)
         targets = self._targets("step", markers_world, state, time)
         solve = self._solving()()
-        solved = clock.timed("solve", solve, model, settings, state.pose, state.feet, targets)
+        solved = clock.time_stage("solve", solve, model, settings, state.pose, state.feet, targets)
         fields, thresholds = None, state.thresholds
         if solved.region is not None:
-            fields, thresholds = clock.timed(
+            fields, thresholds = clock.time_stage(
                 "observe", edge_fields, settings, thresholds, images, solved.region
             )
         elapsed = np.asarray(0.0 if state.time is None else time - state.time, model.dtype)
-        belief, pose, report = clock.timed(
+        belief, pose, report = clock.time_stage(
             "refine", self._refining()(), model, settings, self.bow_factors, solved, targets,
             fields, state.belief, elapsed,
         )  # fmt: skip
@@ -179,9 +179,9 @@ class HybridTracker:
         """
         targets, clock = self._targets("solve", markers_world, state), clock or Clock(False)
         given = self.model, self.settings, state.pose, state.feet, targets
-        solved = clock.timed("solve", self._solving()(), *given)
+        solved = clock.time_stage("solve", self._solving()(), *given)
         after = state._replace(pose=solved.ik.pose, feet=solved.ik.feet)
-        return after, solved.ik.pose, _unrefined(solved, targets)
+        return after, solved.ik.pose, _report_unrefined(solved, targets)
 
     def _targets(self, asked: str, markers_world: np.ndarray | Array, *others: Any) -> np.ndarray:
         """(M, 3) on the host; what is traced is refused."""
@@ -224,12 +224,14 @@ class HybridTracker:
         solving, refining = self._solving(), self._refining_events()
         refine, belief = None, state.belief
         with ThreadPoolExecutor(1, "observe") as beside:
-            for events, solved, observed in one_ahead(scan.solved(solving(), beside)):
+            for events, solved, observed in one_ahead(scan.solve_chunks(solving(), beside)):
                 refine = refine or refining()
                 fields, frames = observed.result()
                 rows = scan.rows(events)
-                inputs = RefineInputs(solved, scan.markers(rows), fields, scan.elapsed(rows))
-                belief, result = clock.timed(
+                inputs = RefineInputs(
+                    solved, scan.markers(rows), fields, scan.elapsed_seconds(rows)
+                )
+                belief, result = clock.time_stage(
                     "refine", refine, self.model, self.settings, self.bow_factors, inputs,
                     belief, among=EVENTS,
                 )  # fmt: skip
@@ -304,7 +306,7 @@ def _of_chunk(one: Any) -> Any:
     return jax.ShapeDtypeStruct((EVENTS, *one.shape), one.dtype)
 
 
-def _unrefined(solved: Solved, targets: np.ndarray) -> StepReport:
+def _report_unrefined(solved: Solved, targets: np.ndarray) -> StepReport:
     """The report of an event that was solved by its markers (M, 3) only."""
     unknown, ik = np.full(2, np.nan, targets.dtype), solved.ik
     errors = np.full(len(targets), np.nan, targets.dtype)

@@ -81,7 +81,7 @@ def learn_background(
 
 def background_of(frames: np.ndarray, free: np.ndarray, share: float = 0.5) -> Background:
     """``learn_background`` by frames (N, h, w, 3) of one exposure, where pixels are free."""
-    colour, noise, counts = _ranked(frames, free, share)
+    colour, noise, counts = _rank_frames(frames, free, share)
     return Background(colour, *_noise_and_certainty(noise, counts, CERTAIN_SHARE * len(frames)))
 
 
@@ -94,7 +94,7 @@ def _noise_and_certainty(
     return np.clip(noise, LEAST_NOISE, MOST_NOISE).astype(np.float32), certainty.astype(np.float32)
 
 
-def _ranked(
+def _rank_frames(
     frames: np.ndarray, free: np.ndarray, share: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Colour (h, w, 3) brighter than a share, scatter (h, w), sightings (h, w) of free pixels."""
@@ -107,16 +107,16 @@ def _ranked(
         # Covered pixels sort behind all others: the last is that of the others.
         last = np.maximum(counts[rows, :, None], 1) - 1
         part = np.where(covered, np.uint8(255), frames[:, rows])
-        usual = ranked(part, (share * last).astype(last.dtype))
+        usual = nth_smallest(part, (share * last).astype(last.dtype))
         away = np.where(
             covered, np.uint8(255), cv2.absdiff(part, np.broadcast_to(usual, part.shape))
         )
         colour[rows] = usual
-        noise[rows] = SIGMA_PER_MAD * ranked(away, last // 2).mean(-1)
+        noise[rows] = SIGMA_PER_MAD * nth_smallest(away, last // 2).mean(-1)
     return colour, np.where(counts > 0, noise, 0), counts
 
 
-def ranked(values: np.ndarray, rank: np.ndarray) -> np.ndarray:
+def nth_smallest(values: np.ndarray, rank: np.ndarray) -> np.ndarray:
     """The ``rank``-th smallest (from 0) of (N, ...) uint8 values along the first axis, N < 256.
 
     Found bit by bit, highest first: eight counts of what lies below, which takes a tenth of the
@@ -144,7 +144,7 @@ def exposure_sample(image: np.ndarray) -> tuple[slice, slice]:
 def equally_exposed(frames: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Frames brought to the exposure of their median, as far as they show it."""
     few, open_ = frames[:, *exposure_sample(frames[0])], free[:, *exposure_sample(frames[0])]
-    usual, _, counts = _ranked(few, open_, 0.5)
+    usual, _, counts = _rank_frames(few, open_, 0.5)
     shown = open_ & (counts > 0)
     gains = [gain(few[i][shown[i]].T, usual[shown[i]].T) for i in range(len(frames))]
     return np.stack([regained(frame, g) for frame, g in zip(frames, gains, strict=True)])

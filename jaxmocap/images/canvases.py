@@ -35,7 +35,7 @@ def canvas(
     """An image (H, W, 3) uint8, and the learned room, on a region's cells."""
 
     def part(values: np.ndarray) -> np.ndarray:
-        return resampled_values(values, region, size)
+        return resample_values(values, region, size)
 
     inside = _inside(image.shape[:2], region, size)
     if background is None:
@@ -68,11 +68,11 @@ def silhouette_distance(mask: np.ndarray, chamfer: int = 5) -> np.ndarray:
 
 def mask_canvas(mask: np.ndarray, region: Region, size: int) -> np.ndarray:
     """How far (S, S) float32, 0 to 1, each cell is covered; nothing is beyond the image."""
-    covered = resampled_values(mask.astype(np.float32), region, size)
+    covered = resample_values(mask.astype(np.float32), region, size)
     return covered * (_inside(mask.shape, region, size) > 0.5)
 
 
-def attached(phi: np.ndarray, start: np.ndarray) -> np.ndarray:
+def keep_attached(phi: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Φ (S, S) without the pieces of which nothing lies where the person was predicted.
 
     What else differs from the room are other people, reflections and shadows.
@@ -94,7 +94,7 @@ def full_mask(phi: np.ndarray, region: Region, shape: tuple[int, int]) -> np.nda
     return values > 0
 
 
-def resampled_values(values: np.ndarray, region: Region, size: int) -> np.ndarray:
+def resample_values(values: np.ndarray, region: Region, size: int) -> np.ndarray:
     """Values (H, W, ...) between pixels at the middles of a region's cells (S, S, ...).
 
     Not averaged over cells, which takes ten times as long; beyond the border it is replicated.

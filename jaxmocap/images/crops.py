@@ -21,7 +21,7 @@ class Crop(NamedTuple):
         return self.corner_xy + self.scale * points_xy
 
 
-def cropped(image: np.ndarray, box: np.ndarray, size: tuple[int, int]) -> Crop:
+def crop_image(image: np.ndarray, box: np.ndarray, size: tuple[int, int]) -> Crop:
     """The box, grown to the crop's form about its middle; black beyond the image.
 
     Args:

@@ -76,7 +76,7 @@ def to_grey(image: np.ndarray) -> np.ndarray:
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
-def equalised(
+def equalise_levels(
     grey: np.ndarray, settings: EdgeSettings, before: Thresholds
 ) -> tuple[np.ndarray, Thresholds]:
     """An image of equal shares of all grey levels (H, W), and what the next frame begins with."""
@@ -89,7 +89,7 @@ def equalised(
     if last > first:
         levels = np.maximum(below - first, 0) * ((LEVELS - 1) / (last - first))
     if before.levels is not None:
-        levels = _mixed(settings, before.levels, levels)
+        levels = _mix_levels(settings, before.levels, levels)
     return cv2.LUT(grey, np.rint(levels).astype(np.uint8)), before._replace(levels=levels)
 
 
@@ -104,7 +104,7 @@ def find_edges(
         before: of this region, after the last frame.
     """
     if settings.equalise == "region":
-        grey, before = equalised(grey, settings, before)
+        grey, before = equalise_levels(grey, settings, before)
     if settings.blur > 0 and (settings.equalise == "none" or not settings.blur_first):
         # For 5 x 5 OpenCV has a way of its own, three times as fast as for 7 x 7.
         size = (5, 5) if settings.blur <= WIDEST_OF_FIVE else (0, 0)
@@ -117,12 +117,12 @@ def find_edges(
     low_high = np.array(percentiles(sample.ravel(), settings.percentiles))
     low_high = np.maximum(low_high, (settings.floor / 2, settings.floor))
     if before.low_high is not None:
-        low_high = _mixed(settings, before.low_high, low_high)
+        low_high = _mix_levels(settings, before.low_high, low_high)
     edges = cv2.Canny(dx, dy, float(low_high[0]), float(low_high[1]))
     return Edges(edges, dx, dy), before._replace(low_high=low_high)
 
 
-def _mixed(settings: EdgeSettings, last: np.ndarray, now: np.ndarray) -> np.ndarray:
+def _mix_levels(settings: EdgeSettings, last: np.ndarray, now: np.ndarray) -> np.ndarray:
     return settings.memory * last + (1 - settings.memory) * now
 
 

@@ -175,7 +175,7 @@ def learn_foreground(
     return background, colours
 
 
-def weighed(odds: np.ndarray) -> Layers:
+def weigh_odds(odds: np.ndarray) -> Layers:
     """By log-odds (h, w): the person's probability times its weight, and that weight."""
     weight = np.minimum(np.abs(odds) * np.float32(1 / FULL_WEIGHT_ODDS), 1)
     return weight / (1 + cv2.exp(-odds)), weight
@@ -189,7 +189,7 @@ def person_grids(
     OpenCV is fastest with four channels.
 
     Args:
-        pair: two ``weighed``.
+        pair: two of ``weigh_odds``.
         origin_px: (2,) pixel (x, y) of the grid's left upper corner: the edge, as in ``Region``.
         cell_px: pixels per cell.
         size: cells per side.

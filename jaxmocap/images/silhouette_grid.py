@@ -33,7 +33,7 @@ class Grid(NamedTuple):
     weight: Array | np.ndarray  # (..., S, S) how much the cell counts; 0 where nothing was measured
 
 
-def blurred(grid: Grid, softness: float) -> Grid:
+def blur_grid(grid: Grid, softness: float) -> Grid:
     """Grids (V, S, S) blurred as softly as the body is drawn; on the host.
 
     The probability is averaged by weight, and so is the weight.
@@ -49,7 +49,7 @@ def blurred(grid: Grid, softness: float) -> Grid:
     return Grid(probability / np.maximum(weight, 1e-3), weight)
 
 
-def halved(grid: Grid) -> Grid:
+def halve_grid(grid: Grid) -> Grid:
     """Grids (..., S, S) of half as many cells to a side; each counts as the four that it was."""
     of = namespace(grid.weight)
 

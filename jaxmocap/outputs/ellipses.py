@@ -78,7 +78,7 @@ def landmark_ellipses(
         deviations: (N, 3) standard deviations along the world's axes, metres.
     """
     dtype = camera.T_cam_world.dtype
-    at, J, depths = map(np.asarray, _projected(camera, np.asarray(centres, dtype)))
+    at, J, depths = map(np.asarray, _project_points(camera, np.asarray(centres, dtype)))
     is_known = np.isfinite(centres).all(-1) & np.isfinite(deviations).all(-1)
     is_known &= depths > NEAREST_M
     spread = np.where(is_known[:, None, None], J * deviations[:, None, :], 0.0)
@@ -90,7 +90,7 @@ def landmark_ellipses(
 
 
 @program("quick")
-def _projected(camera: Camera, points_world: Array) -> tuple[Array, Array, Array]:
+def _project_points(camera: Camera, points_world: Array) -> tuple[Array, Array, Array]:
     """Pixels (N, 2), their derivatives (N, 2, 3) and depths (N,) of points (N, 3)."""
     J = projection_jacobian(camera, points_world)
     return project(camera, points_world), J, depth(camera, points_world)

@@ -69,7 +69,7 @@ def write_overlay(
     artist = OverlayArtist(camera, motion, targets)
     count, first, stamp, stream = 0, 0.0, -1, None
     with replacing_video(path, format="mp4", options=_MP4_OPTIONS) as file:
-        for time, canvas in artist.drawn(frames):
+        for time, canvas in artist.draw_frames(frames):
             if stream is None:
                 first, stream = time, _add_stream(file.container, canvas, rate)
             # Two frames of the same time would not be a valid file.
@@ -120,7 +120,7 @@ class OverlayArtist:
             canvas[:rows, :columns] = image[:rows, :columns]
         return canvas
 
-    def drawn(
+    def draw_frames(
         self, frames: Iterable[tuple[float, np.ndarray | None]]
     ) -> Iterator[tuple[float, np.ndarray]]:
         """Time and canvas of each frame, with the body drawn over it."""
@@ -174,10 +174,10 @@ class OverlayArtist:
         )
         for line in np.stack([near_xy, far_xy], 1):
             _draw_line(canvas, line, BONE_COLOUR, size)
-        for at in _fixed(near_xy, SHIFT).tolist():
+        for at in _to_fixed_point(near_xy, SHIFT).tolist():
             cv2.circle(canvas, at, 2 * size << SHIFT, JOINT_COLOUR, -1, cv2.LINE_AA, SHIFT)
         mark, width = (cv2.MARKER_CROSS, 12 * size), size + 1
-        for at in _fixed(targets_xy).tolist():
+        for at in _to_fixed_point(targets_xy).tolist():
             cv2.drawMarker(canvas, at, TARGET_COLOUR, *mark, width, cv2.LINE_AA)
 
 
@@ -195,16 +195,18 @@ def _tint(canvas: np.ndarray, points: np.ndarray, colour: Colour) -> None:
         return
     part = canvas[top:bottom, left:right]
     tinted = part.copy()
-    cv2.fillPoly(tinted, [_fixed(points - [left, top], SHIFT)], colour, cv2.LINE_AA, SHIFT)
+    cv2.fillPoly(tinted, [_to_fixed_point(points - [left, top], SHIFT)], colour, cv2.LINE_AA, SHIFT)
     cv2.addWeighted(tinted, ELLIPSE_OPACITY, part, 1 - ELLIPSE_OPACITY, 0, part)
 
 
 def _draw_line(canvas: np.ndarray, points: np.ndarray, colour: Colour, width: int) -> None:
     if np.isfinite(points).all():
-        cv2.polylines(canvas, [_fixed(points, SHIFT)], False, colour, width, cv2.LINE_AA, SHIFT)
+        cv2.polylines(
+            canvas, [_to_fixed_point(points, SHIFT)], False, colour, width, cv2.LINE_AA, SHIFT
+        )
 
 
-def _fixed(points: np.ndarray, bits: int = 0) -> np.ndarray:
+def _to_fixed_point(points: np.ndarray, bits: int = 0) -> np.ndarray:
     """(P, 2) int32, so many bits of them fractions, of those that are finite."""
     # OpenCV's fixed point overflows far outside the image.
     points = np.clip(points[np.isfinite(points).all(-1)], -1e4, 1e4)

@@ -41,7 +41,7 @@ NEAR_M, USUAL_LOWEST = 0.03, 5.0
 STAY, HEIGHT, ANCHOR = 100.0, 1.0, 1e-4
 
 
-def retargeted(motion: Motion, skeleton: Skeleton) -> Motion:
+def retarget_motion(motion: Motion, skeleton: Skeleton) -> Motion:
     """The motion, played by another person.
 
     The skeleton is the other's, with the same bones; the motion's joints move it.
@@ -59,16 +59,16 @@ def retargeted(motion: Motion, skeleton: Skeleton) -> Motion:
     other = replace(mine, **{key: getattr(other, key) for key in bones})
     before = feet(mine, motion.poses)
     way, feet_way = (
-        scaled_by_legs(motion, other, at) for at in (np.asarray(motion.poses.position), before)
+        scale_by_legs(motion, other, at) for at in (np.asarray(motion.poses.position), before)
     )
     poses = Pose(jnp.zeros_like(motion.poses.position), *motion.poses[1:])
     by_feet = feet_way - feet(other, poses)
-    root = jnp.asarray(_way(way, by_feet, grounded(before)), float)
+    root = jnp.asarray(_way(way, by_feet, ground_contacts(before)), float)
     poses = poses._replace(position=root)
     return Motion(other, motion.times, poses, origin_world=motion.origin_world)
 
 
-def scaled_by_legs(motion: Motion, skeleton: Skeleton, points: np.ndarray) -> np.ndarray:
+def scale_by_legs(motion: Motion, skeleton: Skeleton, points: np.ndarray) -> np.ndarray:
     """Where points (T, ..., 3) of a motion go by the other's length of legs, world, metres.
 
     From where the pelvis began, and upwards from the floor.
@@ -97,7 +97,7 @@ def floors(points: np.ndarray) -> np.ndarray:
     return np.percentile(points.reshape(len(points), 2, 2, 3)[..., 2], USUAL_LOWEST, axis=(0, 1))
 
 
-def grounded(points: np.ndarray) -> np.ndarray:
+def ground_contacts(points: np.ndarray) -> np.ndarray:
     """(T, F) bool: which of the ``FEET`` (T, F, 3) are on the ground; on a treadmill they move."""
     return points[..., 2] < np.tile(floors(points), 2) + NEAR_M
 
@@ -148,8 +148,8 @@ class RetargetedMotion(NamedTuple):
         feet_before, feet_after = (
             feet(motion.skeleton, motion.poses) for motion in (before, after)
         )
-        on_ground = grounded(feet_before)
-        errors = feet_after - scaled_by_legs(before, after.skeleton, feet_before)
+        on_ground = ground_contacts(feet_before)
+        errors = feet_after - scale_by_legs(before, after.skeleton, feet_before)
         speeds = np.linalg.norm(np.diff(errors, axis=0), axis=-1) / np.diff(before.times)[:, None]
         return {
             "legs_before_m": round(leg_length(before.skeleton), 4),
@@ -186,12 +186,12 @@ def retarget(source: str | Path, onto: str | Path) -> RetargetedMotion:
     else:
         skeleton = read_subject(onto, "", {"file": onto.name})
     try:
-        return RetargetedMotion(before, retargeted(before, skeleton), surface, picture)
+        return RetargetedMotion(before, retarget_motion(before, skeleton), surface, picture)
     except ValueError as error:
         raise InputError(source, str(error)) from None
 
 
-def retargeted_folder(directory: str | Path, source: str | Path, onto: str | Path) -> OutputFolder:
+def retarget_folder(directory: str | Path, source: str | Path, onto: str | Path) -> OutputFolder:
     """The folder for a retargeted motion, checked before any work; see ``tracked_folder``."""
     person = Path(onto)
     inputs = [_motion_file(source), *(person_files(person) if person.is_dir() else [person])]

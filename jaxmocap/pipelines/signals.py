@@ -24,7 +24,7 @@ class Terminated(BaseException):
 
 
 @contextmanager
-def raised_on_sigterm() -> Iterator[None]:
+def raise_on_sigterm() -> Iterator[None]:
     """Within it SIGTERM, or a closed terminal, raises ``Terminated``; no signal ends an import.
 
     A second one does not disturb what closes. What is ignored stays so, as ``nohup`` wants it.

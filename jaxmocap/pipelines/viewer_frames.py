@@ -14,7 +14,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.capture.video import FrameSource, TimedImage
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.images.edges import Thresholds, equalised, find_edges
+from jaxmocap.images.edges import Thresholds, equalise_levels, find_edges
 from jaxmocap.images.regions import Region, crop, region_around
 from jaxmocap.outputs.scene import make_scene, pixels
 from jaxmocap.pipelines.progress import Progress
@@ -68,7 +68,7 @@ def arm_edges(
     for time, image in viewer_frames(video, luma=True):
         i = times[time]
         if image is not None and detection.equalise == "image":
-            image, levels = equalised(image, detection, levels)
+            image, levels = equalise_levels(image, detection, levels)
         for arm, (name, thresholds) in enumerate(list(thresholds_of.items())):
             if image is None or not np.isfinite(origins[i, arm]).all():
                 continue

@@ -42,7 +42,7 @@ class Frames(NamedTuple):
     axes_world: np.ndarray  # (D, 3) hinge axes v_j of equation (4)
 
 
-def turned(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
+def rotate_vectors(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
     """Rodrigues: vectors (..., 3) turned by ``angle``, radians, about a unit axis (3,)."""
     (x, y, z), along = axis, (vector @ axis)[..., None] * axis
     across = vector @ np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])
@@ -77,7 +77,7 @@ def forward(skeleton: Any, pose: Any) -> Frames:
         for dof, turned_bone in enumerate(tree.dof_bones):
             if turned_bone == bone:
                 axes_world[dof] = R @ axes[dof]
-                R = turned(R.T, axes_world[dof], angles[dof]).T
+                R = rotate_vectors(R.T, axes_world[dof], angles[dof]).T
         R_world_bone.append(R)
     return Frames(root, np.array(R_world_bone), np.array(joints_world), axes_world)
 

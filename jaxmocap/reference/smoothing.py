@@ -144,7 +144,7 @@ def off_lines(problem: Problem, points: np.ndarray, t: int) -> np.ndarray:
     return np.array(off)
 
 
-def stacked(problem: Problem, values: np.ndarray, logarithms: np.ndarray) -> np.ndarray:
+def stack_residuals(problem: Problem, values: np.ndarray, logarithms: np.ndarray) -> np.ndarray:
     """All residuals, of (T, R + 3 L) ``frame_values`` and (P,) shared: linear in both."""
     count, times = 3 * len(LANDMARK_ENDS), problem.times
     rows = [values[:, :-count].ravel()]
@@ -161,7 +161,7 @@ def stacked(problem: Problem, values: np.ndarray, logarithms: np.ndarray) -> np.
 def residuals(problem: Problem, x: np.ndarray) -> np.ndarray:
     """All whitened residuals (R,) of all frames."""
     values = [frame_values(problem, x, t) for t in range(len(problem.times))]
-    return stacked(problem, np.array(values), problem.split(x)[1])
+    return stack_residuals(problem, np.array(values), problem.split(x)[1])
 
 
 def jacobian(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -175,7 +175,7 @@ def jacobian(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             ahead, behind = (frame_values(problem, x + sign * steps[k], t) for sign in (1, -1))
             values[t, :, k] = (ahead - behind) / (2 * STEP)
     by_shared = np.eye(len(x))[T * size :]
-    columns = [stacked(problem, values[:, :, k], by_shared[:, k]) for k in range(len(x))]
+    columns = [stack_residuals(problem, values[:, :, k], by_shared[:, k]) for k in range(len(x))]
     return np.stack(columns, 1), values[:, -count:]
 
 

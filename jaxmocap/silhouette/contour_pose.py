@@ -179,7 +179,7 @@ def solve_contour_pose(
         points = fourier_series(shape, 2 * np.pi * np.arange(how.samples) / how.samples)
         end = _by_curve(rays, shape, begun, how)
     radius = _radius(points)
-    T, distances, shares, status = _ended(
+    T, distances, shares, status = _measure_end(
         rays, begun, end, how.deviation * radius, how.rest, how.reach
     )
     off, left = (
@@ -281,7 +281,7 @@ def _through_stages(
         def cycle(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             count, T, _ = carry
             contour = contour_of_wire(twists.move(T, curve), cameras)
-            return count + 1, *_moved(rays, contour, T, radius, weights, both_ways)
+            return count + 1, *_move_pose(rays, contour, T, radius, weights, both_ways)
 
         far = jnp.asarray(jnp.inf, T.dtype)
         count, T, moved = jax.lax.while_loop(unfinished, cycle, (jnp.zeros((), jnp.int32), T, far))
@@ -314,7 +314,7 @@ def _by_surface(
     return _End(T, jnp.asarray(counts), jnp.asarray(moved), contour(T, -1))
 
 
-def _moved(
+def _move_pose(
     rays: Rays,
     contour: SpaceContour,
     T: Array,
@@ -329,11 +329,11 @@ def _moved(
     return there, jnp.max(jnp.where(contour.real, ways, 0.0)) / radius
 
 
-_moved_once = jax.jit(_moved, static_argnames="both_ways")
+_moved_once = jax.jit(_move_pose, static_argnames="both_ways")
 
 
 @jax.jit
-def _ended(
+def _measure_end(
     rays: Rays, start: Array, end: _End, deviation: Array, rest: Array, reach: Array
 ) -> tuple[Array, Array, Array, Array]:
     """The pose (4, 4), distances and shares (C, Q) of the rays, and a status."""

@@ -103,7 +103,7 @@ def step_towards(
         lambda *parts: jnp.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts]),
         *pairs,
     )
-    A, b = linearised(x, tangents, lines, weights.along)
+    A, b = linearise_pairs(x, tangents, lines, weights.along)
     # Of contours without a camera, and of cameras without a ray.
     shares = robust_shares(jnp.sum(b**2, -1), real, weights.deviation, weights.reach)[1]
     shares = jnp.where(real, shares, 0.0)
@@ -126,7 +126,7 @@ def distances_off(
     return distances.reshape(rays.real.shape), shares.reshape(rays.real.shape)
 
 
-def linearised(
+def linearise_pairs(
     x: Array, tangents: Array, lines: Lines, along_weight: Array | float
 ) -> tuple[Array, Array]:
     """Equation (3.12), (I + xi) x x n = m: A (N, 3, 6) and b (N, 3) with A xi = b.

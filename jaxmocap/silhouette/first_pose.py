@@ -36,8 +36,8 @@ def pose_at_landmarks(skeleton: Skeleton, points_world: np.ndarray) -> Pose:
     """
     determined = determined_landmarks(skeleton.tree)[:, None]
     points = np.where(determined, np.asarray(points_world, float), np.nan)
-    start = _placed(skeleton, points)
-    return _fitted(skeleton, start, jnp.asarray(points, skeleton.lengths.dtype))
+    start = _place_pose(skeleton, points)
+    return _fit_pose(skeleton, start, jnp.asarray(points, skeleton.lengths.dtype))
 
 
 def standing_pose_at(skeleton: Skeleton, x: float, y: float, facing: float) -> Pose:
@@ -49,7 +49,7 @@ def standing_pose_at(skeleton: Skeleton, x: float, y: float, facing: float) -> P
     return pose._replace(position=jnp.asarray([x, y, -lowest], dtype), quaternion=turned)
 
 
-def _placed(skeleton: Skeleton, points: np.ndarray) -> Pose:
+def _place_pose(skeleton: Skeleton, points: np.ndarray) -> Pose:
     """The relaxed pose, upright as the trunk is, placed by the landmarks."""
     at = {name: points[i] for i, name in enumerate(LANDMARKS)}
     for pair in ("hip", "shoulder"):
@@ -78,7 +78,7 @@ def _middle(at: dict[str, np.ndarray], pair: str) -> np.ndarray:
 
 
 @program("full")
-def _fitted(skeleton: Skeleton, start: Pose, points: Array) -> Pose:
+def _fit_pose(skeleton: Skeleton, start: Pose, points: Array) -> Pose:
     """Gauss-Newton from a placed pose, within the limits."""
     is_measured = jnp.isfinite(points)
     targets = jnp.where(is_measured, points, 0.0)

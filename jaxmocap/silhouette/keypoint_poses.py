@@ -29,7 +29,7 @@ from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.balance import Balance
-from jaxmocap.evidence.expansion import linearised
+from jaxmocap.evidence.expansion import linearise_terms
 from jaxmocap.evidence.ground import FeetOnFloor
 from jaxmocap.evidence.keypoints import EstimatedDepths, KeyPoints, SightLines
 from jaxmocap.evidence.limits import JointLimits
@@ -40,7 +40,7 @@ from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.smoothing.elbow_viterbi import cheapest_path
 from jaxmocap.smoothing.levenberg_marquardt import Solution, minimise
 from jaxmocap.smoothing.linearise import linearise_problem, two_workers
-from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, moved_by
+from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, move_trajectory
 from jaxmocap.solvers.descent import tree_where
 from jaxmocap.solvers.robust import MEDIAN_OF_LENGTHS
 
@@ -119,11 +119,11 @@ def poses_of_lines(
     def solve(problem: SmoothingProblem, begun: Trajectory) -> Solution:
         with two_workers() as workers:
             linearise = partial(linearise_problem, problem, 0.0, workers)
-            return minimise(linearise, moved_by, begun, prior)
+            return minimise(linearise, move_trajectory, begun, prior)
 
     solved = solve(problem, Trajectory(start, np.zeros(len(LENGTHS), model.dtype)))
     points = np.asarray(solved.linear.points).reshape(len(times), len(LANDMARKS), 3)
-    lines = weighed_by_scatter(points, lines, float(settings.keypoints.deviation))
+    lines = weigh_by_scatter(points, lines, float(settings.keypoints.deviation))
     solved = solve(problem.with_measured(sight_lines=lines), solved.x)
     person = solved.x.person(skeleton)
     return KeypointPoses(solved.x.poses, np.asarray(solved.linear.cost), person, lines)
@@ -180,7 +180,7 @@ def swap_sides(lines: SightLines) -> SightLines:
     return SightLines(lines.origin, directions, sure, depths)
 
 
-def weighed_by_scatter(points: np.ndarray, lines: SightLines, deviation: float) -> SightLines:
+def weigh_by_scatter(points: np.ndarray, lines: SightLines, deviation: float) -> SightLines:
     """Lines (T, ...) whose confidences are smaller where a camera's landmark scatters by more.
 
     ``points`` (T, L, 3) are where all lines together have the landmarks, metres. ``deviation`` is
@@ -215,8 +215,8 @@ def _minima(
     starts = _starts(model.skeleton)
 
     def of_frame(own: Measurements) -> tuple:
-        descend = jax.vmap(partial(_descended, terms, model, own), (0, None))
-        poses = jax.vmap(partial(_placed, model.skeleton, own))(starts)
+        descend = jax.vmap(partial(_descend, terms, model, own), (0, None))
+        poses = jax.vmap(partial(_place_pose, model.skeleton, own))(starts)
         poses, costs = descend(poses, ROUGH_STEPS)
         best = jax.lax.top_k(-costs, MINIMA)[1]
         poses, costs = descend(jax.tree.map(lambda part: part[best], poses), STEPS)
@@ -255,7 +255,7 @@ def _postures(skeleton: Skeleton) -> list[Array]:
     ]
 
 
-def _placed(skeleton: Skeleton, measured: Measurements, pose: Pose) -> Pose:
+def _place_pose(skeleton: Skeleton, measured: Measurements, pose: Pose) -> Pose:
     """The pose moved to where its landmarks lie nearest to their lines."""
     lines = measured["sight_lines"]
     weights = jnp.where(jnp.isfinite(lines.directions).all(-1), lines.confidences, 0.0) ** 2
@@ -268,7 +268,7 @@ def _placed(skeleton: Skeleton, measured: Measurements, pose: Pose) -> Pose:
     return pose._replace(position=jnp.linalg.solve(total, towards))
 
 
-def _descended(
+def _descend(
     terms: tuple[Term, ...], model: Model, measured: Measurements, start: Pose, steps: Any
 ) -> tuple[Pose, Array]:
     """Where a damped Gauss-Newton descent ends, and half the squares there.
@@ -281,7 +281,7 @@ def _descended(
 
     def step(_: int, now: tuple) -> tuple:
         pose, damping = now
-        r, J = linearised(terms, model, none, pose, measured)[:2]
+        r, J = linearise_terms(terms, model, none, pose, measured)[:2]
         cost = jnp.sum(r**2) / 2
         H = jnp.matmul(J.T, J, precision=HIGHEST) + damping * jnp.eye(size, dtype=r.dtype)
         move = -jnp.linalg.solve(H, jnp.matmul(r, J, precision=HIGHEST))

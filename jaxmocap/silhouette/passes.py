@@ -81,7 +81,7 @@ class PassResult:
         """(F, ...) as they were found."""
         return jax.tree.map(lambda *parts: np.stack(parts), *(each.pose for each in self.estimates))
 
-    def smoothed(self, constants: TrackerConstants) -> tuple[Pose, np.ndarray]:
+    def smooth(self, constants: TrackerConstants) -> tuple[Pose, np.ndarray]:
         """(F, ...) as all frames together have them, and how sure (F, L, 3); NaN unsmoothed."""
         how = constants.settings.smoothing
         if how is None:
@@ -169,7 +169,7 @@ def run_passes(
         if learner is not None:
             pictures = zip(backgrounds, learner.backgrounds, strict=True)
             models = [picture or learned.background() for picture, learned in pictures]
-            body = tracker.reshaped(body, *shape.estimate())
+            body = tracker.reshape_person(body, *shape.estimate())
     assert result is not None, "expected one pass or several"
     return result
 
@@ -202,7 +202,7 @@ def run_pass(
             learner.add_frame(state, report, cameras)
         backgrounds = list(state.backgrounds)
         for camera in online.keys() & cameras.keys():
-            backgrounds[camera] = online[camera].updated(*cameras[camera])
+            backgrounds[camera] = online[camera].update(*cameras[camera])
         state = state._replace(backgrounds=tuple(backgrounds))
         progress(number + 1)
     return result

@@ -16,7 +16,7 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Frames, jacobian
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surfaces.surface import BodyPoints, carried_by_bones, posed
+from jaxmocap.body.surfaces.surface import BodyPoints, carry_by_bones, pose_points
 from jaxmocap.geometry.cameras import Camera, pixel_rays
 from jaxmocap.geometry.lines import Lines, camera_lines, perpendiculars
 from jaxmocap.geometry.rotations import HIGHEST
@@ -58,7 +58,7 @@ def contour_rays(camera: Camera, pixels_xy: Array, normals: Array) -> tuple[Line
 
 def point_jacobian(skeleton: Skeleton, frames: Frames, points: BodyPoints) -> Array:
     """Derivatives (N, 3, 6 + D) of the posed points by the tangent vector of ``retract``."""
-    alone, shares = carried_by_bones(frames, points), jnp.asarray(points.shares)
+    alone, shares = carry_by_bones(frames, points), jnp.asarray(points.shares)
     total = jnp.zeros(())
     for k in range(alone.shape[1]):
         J = jacobian(skeleton, frames, points.bones[:, k], alone[:, k])
@@ -85,7 +85,7 @@ def linearised_rays(skeleton: Skeleton, frames: Frames, pairs: PointRays) -> tup
     ways = jnp.stack([pairs.across, pairs.along_weights[:, None] * along], 1)
     ways = jnp.where(real[:, None, None], ways, 0.0)
     lines = Lines(*(jnp.where(real[:, None], part, 0.0) for part in pairs.lines))
-    off = perpendiculars(lines, posed(frames, pairs.points))
+    off = perpendiculars(lines, pose_points(frames, pairs.points))
     J = point_jacobian(skeleton, frames, pairs.points)
     residuals = ways[..., 0] * off[:, None, 0]
     rows = ways[..., 0, None] * J[:, None, 0]

@@ -25,7 +25,7 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.evidence.expansion import linearised_term
+from jaxmocap.evidence.expansion import linearise_term
 from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.points import PointRays, linearised_rays
@@ -90,7 +90,7 @@ class TermEvidence(NamedTuple):
         width, dtype = self.model.skeleton.costs.size, pose.angles.dtype
         information, slope = jnp.zeros((width, width), dtype), jnp.zeros(width, dtype)
         for term in self.terms:
-            r, J = linearised_term(term, self.model, pose, self.measured)
+            r, J = linearise_term(term, self.model, pose, self.measured)
             J = J.reshape(-1, width)
             information = information + jnp.matmul(J.T, J, precision=HIGHEST)
             slope = slope + jnp.matmul(J.T, r.ravel(), precision=HIGHEST)

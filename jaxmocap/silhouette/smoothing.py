@@ -41,7 +41,7 @@ from jaxmocap.smoothing.levenberg_marquardt import (
     positive,
 )
 from jaxmocap.smoothing.linearise import linearise_problem, two_workers
-from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, moved_by
+from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, move_trajectory
 
 # Frames in one call: any recording's fill some, and compile once.
 FRAMES_A_CALL = 32
@@ -132,7 +132,7 @@ def smoothed_poses(
         prior = smoothness(times, accelerations)
         with two_workers() as workers:
             linearise = partial(linearise_problem, problem, 0.0, workers)
-            move = partial(_moved, skeleton)
+            move = partial(_move_trajectory, skeleton)
             return minimise(linearise, move, start, prior, SolverSettings(iterations=STEPS)).x.poses
 
     own = np.full(len(LANDMARKS), settings.acceleration)
@@ -190,11 +190,11 @@ def _accelerations(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> np.nda
     return np.sqrt(squares.reshape(len(squares), -1, 3).mean((0, 2)))
 
 
-def _moved(
+def _move_trajectory(
     skeleton: Skeleton, trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray
 ) -> Trajectory:
     """A trajectory moved by steps (T, 6 + D), within the joints' limits."""
-    moved = moved_by(trajectory, steps, shared)
+    moved = move_trajectory(trajectory, steps, shared)
     low, high = (np.asarray(skeleton.limits[:, side]) for side in (0, 1))
     angles = np.clip(moved.poses.angles, low, high)
     return moved._replace(poses=moved.poses._replace(angles=angles))

@@ -49,9 +49,9 @@ from jaxmocap.silhouette.recovery.lost_limbs import LimbRecovery
 from jaxmocap.silhouette.recovery.relocation import (
     RecoveredPose,
     recover_limbs,
-    remembered,
+    remember_frame,
     slim,
-    withdrawn,
+    withdraw_joints,
 )
 from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
 from jaxmocap.silhouette.segmentation.segment import Histograms
@@ -125,7 +125,9 @@ class SilhouetteTracker:
         self._sites = Sites.none(dtype) if sites is None else sites
         self.body = self._body(finder.initial_shape)
 
-    def reshaped(self, body: TrackedBody, skeleton: Skeleton, surface: Surface) -> TrackedBody:
+    def reshape_person(
+        self, body: TrackedBody, skeleton: Skeleton, surface: Surface
+    ) -> TrackedBody:
         """The same person, corrected: bones of other lengths, a surface of as many nodes.
 
         While the bones are the same, limbs are recovered as thick as they were.
@@ -186,7 +188,7 @@ class SilhouetteTracker:
             The state, the pose and a report.
         """
         constants, body, s = self.constants, state.body, self.constants.settings
-        images, history = state.image_history.accepted(images, s.changed_share, s.patience)
+        images, history = state.image_history.accept(images, s.changed_share, s.patience)
         elapsed = 0.0 if state.time is None else max(time - state.time, SHORTEST_STEP_S)
         skeleton, velocity = body.shape.skeleton, s.damping * state.velocity
         predicted = predicted_pose(skeleton, state.pose, velocity, np.float32(elapsed))
@@ -200,24 +202,24 @@ class SilhouetteTracker:
         frame = FrameEvidence(images, state.backgrounds, state.histograms, beside, is_first)
         fitted = fit_pose(constants, body, frame, predicted, deviations)
         recovered = recover_limbs(constants, body, state.limbs, frame, fitted, deviations, earlier)
-        report, pose, determined = self._reported(body, recovered, measured)
+        report, pose, determined = self._make_report(body, recovered, measured)
         velocity = self._velocity(state, recovered, pose, determined, elapsed, earlier)
         if not determined.any():
             # Who is not visible for an instant moves on; for longer, comes to rest.
             determined, velocity = state.determined, s.damping * state.velocity
         recent = state.recent
         if report.relocated.any():
-            recent = withdrawn(constants, body, recent, report.relocated)
+            recent = withdraw_joints(constants, body, recent, report.relocated)
             report = report._replace(revised=tuple(slim(each.report) for each in recent))
         now = report.outlines.segmentation.histograms
         after = State(
             pose, velocity, time, kept_histograms(report.used, now, state.histograms), determined,
             history, recovered.limbs, body, state.backgrounds,
-            remembered(recent, RecentFrame(report, pose, measured)),
+            remember_frame(recent, RecentFrame(report, pose, measured)),
         )  # fmt: skip
         return after, pose, report
 
-    def _reported(
+    def _make_report(
         self, body: TrackedBody, recovered: RecoveredPose, measured: Measurements
     ) -> tuple[StepReport, Pose, np.ndarray]:
         """The report, its pose, and which degrees of freedom (6 + D,) are well determined."""

@@ -32,7 +32,7 @@ from jaxmocap.evidence.appearance.learned import (
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.images.background_model import spread
 from jaxmocap.images.foreground import shrink
-from jaxmocap.images.silhouette_grid import blurred
+from jaxmocap.images.silhouette_grid import blur_grid
 from jaxmocap.smoothing.elbow_viterbi import elbow_goals
 from jaxmocap.smoothing.facing import facing_in_time, references
 from jaxmocap.smoothing.linearise import rows_of, smooth_poses
@@ -45,7 +45,7 @@ from jaxmocap.smoothing.problem import (
     Views,
     all_turned,
 )
-from jaxmocap.smoothing.settings import SmoothingSettings, weighed_by_time
+from jaxmocap.smoothing.settings import SmoothingSettings, weigh_by_time
 from jaxmocap.smoothing.uncertainty import leave_one_out, with_deviations
 
 # Cells over which silhouettes fade, from solve to solve: roughly at first,
@@ -148,7 +148,7 @@ def solve_recording(
     if not cameras:
         return None
     measured = measurements_of(model, first_pass)
-    stated, settings = settings, weighed_by_time(settings, first_pass.times)
+    stated, settings = settings, weigh_by_time(settings, first_pass.times)
     if model.no_foot_is_marked:
         by_markers = first_pass.reports.marker_pose
         measured["facing"] = facing_in_time(model, stated, first_pass.times, measured, by_markers)
@@ -243,7 +243,7 @@ def silhouettes_of(
     views = _views(model, cameras, Trajectory(first_pass.poses, lengths))
     rows = np.zeros(first_pass.frame_index.shape, int)
     rows[views.frame, views.camera] = np.arange(len(views.frame))
-    soft = views.grids.each_grid(lambda grid: blurred(grid, FINELY[-1]))
+    soft = views.grids.each_grid(lambda grid: blur_grid(grid, FINELY[-1]))
     is_there = (first_pass.frame_index >= 0)[..., None, None].astype(np.float32)
     grids = jax.tree.map(lambda part: part[rows], soft)
     return grids.each_grid(lambda grid: grid._replace(weight=is_there * grid.weight))

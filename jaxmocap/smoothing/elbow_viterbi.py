@@ -153,7 +153,7 @@ def _side(arms: Arms, side: int | Array) -> Arms:
     return jax.tree.map(lambda part: part[side], arms)
 
 
-def _turned(arms: Arms, turns: Array | np.ndarray = TURNS) -> tuple[Arms, Array]:
+def _turn_arms(arms: Arms, turns: Array | np.ndarray = TURNS) -> tuple[Arms, Array]:
     """Candidates (2, K) of both arms, and by how much (2, K) their shoulders give way."""
 
     def of_turn(arm: Arms, turn: Array) -> tuple[Arms, Array]:
@@ -166,7 +166,7 @@ def _turned(arms: Arms, turns: Array | np.ndarray = TURNS) -> tuple[Arms, Array]
 
 def turned_angles(hung: Hung, turns: Array | np.ndarray = TURNS) -> Array:
     """Joint angles (2, K, 4), shoulder to elbow, of both arms' candidates by turns (K, 3)."""
-    arms, _ = _turned(hung.arms, turns)
+    arms, _ = _turn_arms(hung.arms, turns)
     sides = [jax.vmap(partial(bent, hung, side))(_side(arms, side)) for side in range(2)]
     return jnp.stack(sides)
 
@@ -179,7 +179,7 @@ def candidates(model: Model, settings: ElbowPathSettings, poses: Pose) -> tuple[
 
     def of_pose(pose: Pose) -> tuple[Arms, Array]:
         hung = hang(skeleton, pose, model.grips)
-        (arms, slack), angles = _turned(hung.arms), turned_angles(hung)
+        (arms, slack), angles = _turn_arms(hung.arms), turned_angles(hung)
         away = (angles - skeleton.relaxed[dofs][:, None]) / usual[:, None]
         beyond = beyond_limits(ranges[:, None], angles) / settings.beyond_range
         slack = slack / settings.shoulder_slack
@@ -258,7 +258,7 @@ def view_costs(
         grids: of the view.
         chosen: candidates of the left arm (A,) and of the right one (B,).
     """
-    rest, arms = _drawn(model, softness, pose, camera, grids, jnp.stack(chosen))
+    rest, arms = _draw_arms(model, softness, pose, camera, grids, jnp.stack(chosen))
     away = jnp.minimum(jnp.minimum(arms.away[0], rest)[:, None], arms.away[1])
     shown = jnp.maximum(arms.shown[0][:, None], arms.shown[1])
     return _squares(_coverage(away, softness), grids.person) + _squares(shown, grids.forearms)
@@ -269,7 +269,7 @@ def lone_costs(
 ) -> Array:
     """The same (2, K) with one arm at each candidate, the other where it is."""
     every = jnp.tile(jnp.arange(len(TURNS)), (2, 1))
-    rest, arms = _drawn(model, softness, pose, camera, grids, every)
+    rest, arms = _draw_arms(model, softness, pose, camera, grids, every)
     # Of each arm the other one.
     away, shown = (part[::-1, STAY, None] for part in arms)
     away = jnp.minimum(jnp.minimum(arms.away, rest), away)
@@ -284,7 +284,7 @@ class _DrawnArms(NamedTuple):
     shown: Array
 
 
-def _drawn(
+def _draw_arms(
     model: Model,
     softness: Array,
     pose: Pose,
@@ -299,13 +299,13 @@ def _drawn(
     body = Cones(*(part[kept] for part in cones(skeleton, frames, bones)))
     x, y = cells(grids.person.probability.shape[-1], pose.angles.dtype)
     outlines = project_flesh(skeleton.tree, camera, body, grids.per_metre, bones[kept])
-    at = _touched(grids.region, outlines, x, y)
+    at = _nearest_limbs(grids.region, outlines, x, y)
     rest, surface = jnp.min(at.distance, 0), nearest_surface(camera, body, at.distance)
-    moved, _ = _turned(arms_of(skeleton, frames, model.grips))
+    moved, _ = _turn_arms(arms_of(skeleton, frames, model.grips))
 
     def of_candidate(arm: Arms) -> _DrawnArms:
         limb = flesh(arm)
-        at = _touched(grids.region, project_cones(camera, limb), x, y)
+        at = _nearest_limbs(grids.region, project_cones(camera, limb), x, y)
         ends = (depth(camera, end)[:, None] for end in (limb.near, limb.far))
         _, radius, hand = depth_along(at, *ends)
         away = jnp.where(at.distance[1] < at.distance[2], radius, hand)
@@ -323,7 +323,7 @@ def _coverage(away: Array, softness: Array) -> Array:
     return jax.nn.sigmoid(-away / softness)
 
 
-def _touched(region: Region, discs: Discs, x: Array, y: Array) -> Touch:
+def _nearest_limbs(region: Region, discs: Discs, x: Array, y: Array) -> Touch:
     """Where (K, C) the outlines of K limbs, pixels, are nearest to C cells."""
     limbs = discs_in_region(region, discs)
     return touch(Discs(*(part[:, None] for part in limbs)), x, y)

@@ -28,7 +28,7 @@ from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import UNTURNED, SmoothingProblem, Trajectory, Views
-from jaxmocap.smoothing.settings import SmoothingSettings, weighed_by_time
+from jaxmocap.smoothing.settings import SmoothingSettings, weigh_by_time
 
 # Standard deviation of the average over the time around, seconds.
 AROUND_S = 0.5
@@ -49,7 +49,7 @@ def references(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> dict[str, 
     """Measured ``upright``, ``facing`` and ``ankles`` (T, ...) of poses by the markers alone."""
     R = np.asarray(_matrices(on_device(poses.quaternion)))
     ankles = landmarks_over_time(skeleton, poses, ANKLES)
-    facing = _level(averaged(R[:, :2, 0], times))
+    facing = _level(average_over_time(R[:, :2, 0], times))
     result = {"upright": R[:, :2, 2], "facing": facing, "ankles": ankles}
     # Copies: what is a part of a larger array would keep that one.
     return {name: np.array(part, skeleton.lengths.dtype) for name, part in result.items()}
@@ -77,7 +77,7 @@ def facing_in_time(
     lengths = settings.proportions * len(rows)
     problem = SmoothingProblem(
         model,
-        weighed_by_time(replace(settings, pelvis=pelvis, proportions=lengths), times[rows]),
+        weigh_by_time(replace(settings, pelvis=pelvis, proportions=lengths), times[rows]),
         times[rows],
         jax.tree.map(lambda part: part[rows], measured),
         Views.no_cameras(),
@@ -95,7 +95,9 @@ def _stride(times: np.ndarray) -> int:
     return max(1, int(1 / (EVENTS_HZ * step) + 1e-3))
 
 
-def averaged(values: np.ndarray, times: np.ndarray, around_s: float = AROUND_S) -> np.ndarray:
+def average_over_time(
+    values: np.ndarray, times: np.ndarray, around_s: float = AROUND_S
+) -> np.ndarray:
     """Values (T, N) over the time around: a Gaussian of so many seconds, of even samples."""
     step = np.median(np.diff(times)) if len(times) > 1 else 1.0
     return gaussian_filter1d(values, around_s / step, axis=0, mode="nearest")

@@ -43,7 +43,7 @@ from jaxmocap.smoothing.window.events import (
     WindowEvent,
     WindowFrame,
     any_image,
-    expected_at,
+    expect_poses,
     new_events,
 )
 from jaxmocap.smoothing.window.solving import SOFTNESS
@@ -211,7 +211,7 @@ class FixedLagSmoother:
             alone = [np.concatenate(step.report.marker_pose).astype(dtype) for step in waiting]
             last = np.concatenate(events[-1].pose).astype(dtype) if events else alone[0]
             before = alone[0] if self._marker_pose is None else self._marker_pose
-            expected = expected_at(self.model.skeleton, last, before, alone)
+            expected = expect_poses(self.model.skeleton, last, before, alone)
             self._marker_pose = alone[-1]
             for step, there in zip(waiting, expected, strict=True):
                 since.append(step.time - events[-1].time if events else LONGEST_GAP_S)
@@ -232,15 +232,15 @@ class FixedLagSmoother:
     def _frames(self, images: Images, pose: Pose) -> list[WindowFrame]:
         """Camera, what its image shows about a pose, width and height; of new images only."""
         return [
-            (camera, self._measured(camera, image, pose), (image.shape[1], image.shape[0]))
+            (camera, self._measure_image(camera, image, pose), (image.shape[1], image.shape[0]))
             for camera, image in enumerate(images or ())
             if image is not None
         ]
 
-    def _measured(self, camera: int, image: np.ndarray, pose: Pose) -> MeasuredFrame:
+    def _measure_image(self, camera: int, image: np.ndarray, pose: Pose) -> MeasuredFrame:
         """What a camera shows about a pose, weighted as in the settings."""
         frame = self._appearances[camera].measure(image, pose, SOFTNESS)
-        return frame._replace(grids=self.settings.silhouettes.weighted(frame.grids))
+        return frame._replace(grids=self.settings.silhouettes.weigh(frame.grids))
 
     def _settle(self, final: bool) -> list[SmoothedPose]:
         """Solve the window, give out what has waited long enough, forget and learn."""
@@ -272,7 +272,7 @@ class FixedLagSmoother:
         if not ready:
             return []
         if self._fading is not None:
-            self._fading = self._fading.corrected(found.correction.astype(float))
+            self._fading = self._fading.correct(found.correction.astype(float))
         track: list[TrackPose] = []
         for i in ready:
             earlier = [each for each in self._between if each.number < events[i].number]
@@ -280,7 +280,7 @@ class FixedLagSmoother:
             self._between = self._between[len(earlier) :]
         if final:
             track += between_events(events, len(events), self._between)
-        poses = track_poses(self._person, [self._faded(each) for each in track])
+        poses = track_poses(self._person, [self._fade(each) for each in track])
         deviations = self._deviations(found)
         return [
             SmoothedPose(each.number, each.time, unpack(pose), deviations, found.from_prior)
@@ -296,7 +296,7 @@ class FixedLagSmoother:
             deviations[ARM_LANDMARKS] = np.hypot(*spread)
         return deviations
 
-    def _faded(self, pose: TrackPose) -> TrackPose:
+    def _fade(self, pose: TrackPose) -> TrackPose:
         """A pose with what is left of corrections."""
         nothing = np.zeros(pose.events.shape[1] - 1)
         fading = self._fading or Fading(nothing, nothing, pose.time)

@@ -31,14 +31,14 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.compilation.arguments import check_kind, check_shape, floating
-from jaxmocap.evidence.expansion import expanded
-from jaxmocap.evidence.shapes import checked_measurements, checked_pose, in_precision
+from jaxmocap.evidence.expansion import expand_terms
+from jaxmocap.evidence.shapes import check_measurements, check_pose, in_precision
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.evidence.smoothness import REACH, second_differences
 from jaxmocap.evidence.terms import Measurements, residuals
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.smoothing.linearise import SilhouettesFit, silhouettes_fit
-from jaxmocap.smoothing.settings import SmoothingSettings, weighed_by_time
+from jaxmocap.smoothing.settings import SmoothingSettings, weigh_by_time
 from jaxmocap.smoothing.window.elimination import Evidence, MarginalPrior, eliminate, steps_of
 from jaxmocap.smoothing.window.solving import SOFTNESS
 from jaxmocap.solvers.descent import tree_where
@@ -74,7 +74,7 @@ class Events(NamedTuple):
     silhouettes: SilhouetteGrids | None = None
 
 
-def checked_events(model: Model, events: Any) -> Events:
+def check_events(model: Model, events: Any) -> Events:
     """Events in the model's precision.
 
     Raises:
@@ -94,8 +94,8 @@ def checked_events(model: Model, events: Any) -> Events:
             check_shape("events.silhouettes", np.shape(leaf)[:2], each, "one for each camera")
     return Events(
         floating("events.times", events.times, (T,), model.dtype),
-        checked_measurements("events.measured", model, events.measured, T),
-        checked_pose("events.poses", model, events.poses, (T,)),
+        check_measurements("events.measured", model, events.measured, T),
+        check_pose("events.poses", model, events.poses, (T,)),
         in_precision(model, events.silhouettes),
     )
 
@@ -149,31 +149,33 @@ def smooth_events(model: Model, settings: SmoothingSettings, events: Events) -> 
         settings: of smoothing; their terms take part that find their measurements.
         events: T of them, 3 at least.
     """
-    settings = weighed_by_time(settings, events.times)
-    silhouettes = events.silhouettes and settings.silhouettes.weighted(events.silhouettes)
+    settings = weigh_by_time(settings, events.times)
+    silhouettes = events.silhouettes and settings.silhouettes.weigh(events.silhouettes)
     problem = _Problem(model, settings, events.times, events.measured, silhouettes)
     constant, start = jax.lax.stop_gradient((problem, events.poses))
-    poses = following(_moved, problem, jax.lax.stop_gradient(_descended(constant, start)))
+    poses = following(_move_minimum, problem, jax.lax.stop_gradient(_descend(constant, start)))
     points = jax.vmap(partial(landmarks, model.skeleton))(poses)
     return SmoothMotion(events.times, poses, points)
 
 
-def _moved(problem: _Problem, poses: Pose) -> Pose:
+def _move_minimum(problem: _Problem, poses: Pose) -> Pose:
     """Where poses at their minimum go as the problem changes."""
     slopes = _slopes(jax.lax.stop_gradient(problem), poses, exactly=True)
     # By tangent vectors (T, N) at the poses.
     still = jnp.zeros_like(slopes.gradient)
     gradient = jax.grad(lambda step: _cost(problem, retract(poses, step)))(still)
     if problem.silhouettes is not None:
-        gradient += _drawn(problem, poses).gradient
+        gradient += _draw_silhouettes(problem, poses).gradient
     change = gradient - jax.lax.stop_gradient(gradient)
     still, no_damping = jax.lax.stop_gradient(slopes), jnp.zeros((), change.dtype)
     # Where hardly any curvature is left, single precision cannot tell how much.
     less = still._replace(hessian=(1 - LEAST_CURVATURE) * still.hessian)
-    is_curved = jnp.all(jnp.isfinite(_solved(_about(problem, less, no_damping + 1), no_damping)))
+    is_curved = jnp.all(
+        jnp.isfinite(_solve_step(_about(problem, less, no_damping + 1), no_damping))
+    )
     evidence = _about(problem, still, is_curved.astype(change.dtype))
     evidence = jax.lax.stop_gradient(evidence)._replace(gradient=change)
-    return retract(poses, _solved(evidence, no_damping))
+    return retract(poses, _solve_step(evidence, no_damping))
 
 
 def _cost(problem: _Problem, poses: Pose) -> Array:
@@ -217,7 +219,7 @@ def _slopes(problem: _Problem, poses: Pose, exactly: bool = False) -> _Slopes:
     def of_event(
         pose: Pose, own: Measurements, frames: Frames, points: Array, pull: Array
     ) -> tuple:
-        r, J, S = expanded(problem.settings.terms, problem.model, pose, own)
+        r, J, S = expand_terms(problem.settings.terms, problem.model, pose, own)
         by_points = jacobian(skeleton, frames, sites.bones, points).reshape(-1, J.shape[1])
         slope = jnp.matmul(r, J, precision=HIGHEST)
         slope += jnp.matmul(pull.ravel(), by_points, precision=HIGHEST)
@@ -231,7 +233,7 @@ def _slopes(problem: _Problem, poses: Pose, exactly: bool = False) -> _Slopes:
     slopes = _Slopes(cost, slope, own, bending, by_points)
     if problem.silhouettes is None:
         return slopes
-    drawn = _drawn(problem, poses, exactly)
+    drawn = _draw_silhouettes(problem, poses, exactly)
     return slopes._replace(
         cost=cost + jnp.sum(drawn.cost) / 2,
         gradient=slope + drawn.gradient,
@@ -240,7 +242,7 @@ def _slopes(problem: _Problem, poses: Pose, exactly: bool = False) -> _Slopes:
     )
 
 
-def _drawn(problem: _Problem, poses: Pose, exactly: bool = False) -> SilhouettesFit:
+def _draw_silhouettes(problem: _Problem, poses: Pose, exactly: bool = False) -> SilhouettesFit:
     """Of the silhouettes (T, ...) at poses."""
     own, soft = problem.settings.silhouettes, jnp.asarray(SOFTNESS, poses.angles.dtype)
 
@@ -274,13 +276,13 @@ def _step(problem: _Problem, slopes: _Slopes, damping: Array) -> Array:
 
     def solve(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         curved = carry[0] - 1
-        return curved, _solved(_about(problem, slopes, curved), damping)
+        return curved, _solve_step(_about(problem, slopes, curved), damping)
 
     first = jnp.full((), 2.0, damping.dtype), jnp.full_like(slopes.gradient, jnp.nan)
     return jax.lax.while_loop(unsound, solve, first)[1]
 
 
-def _solved(evidence: Evidence, damping: Array) -> Array:
+def _solve_step(evidence: Evidence, damping: Array) -> Array:
     """The step (T, N); not finite where the Hessian is not positive."""
     count, size = evidence.gradient.shape
     nothing = MarginalPrior.none(size, damping.dtype)
@@ -299,7 +301,7 @@ class _Steps(NamedTuple):
     short: Array
 
 
-def _descended(problem: _Problem, start: Pose) -> Pose:
+def _descend(problem: _Problem, start: Pose) -> Pose:
     """Poses (T, ...) where damped Newton steps end."""
     like = jax.eval_shape(_slopes, problem, start)
     precision = jnp.finfo(like.cost.dtype).eps

@@ -129,7 +129,7 @@ def minimise(
         here, state = _descend(moved_by, here, state, equations, settings)
         # That of the start would stay in memory until the end.
         state = state._replace(linear=here.linear)
-        if state.status == Status.CONVERGED and not equations.determined():
+        if state.status == Status.CONVERGED and not equations.is_determined():
             state = state._replace(status=Status.UNDETERMINED)
     return state._replace(x=here.x, linear=here.linear, cost=here.cost)
 

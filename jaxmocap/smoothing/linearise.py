@@ -25,7 +25,7 @@ from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.arrays import Numbers, on_device
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
-from jaxmocap.evidence.expansion import linearised
+from jaxmocap.evidence.expansion import linearise_terms
 from jaxmocap.evidence.silhouettes import (
     SilhouetteGrids,
     Silhouettes,
@@ -35,7 +35,7 @@ from jaxmocap.evidence.silhouettes import (
 from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.images.silhouette_grid import blurred
+from jaxmocap.images.silhouette_grid import blur_grid
 from jaxmocap.smoothing.levenberg_marquardt import DEFAULTS, Linearised, SolverSettings, minimise
 from jaxmocap.smoothing.problem import (
     TURN,
@@ -43,7 +43,7 @@ from jaxmocap.smoothing.problem import (
     Trajectory,
     all_turned,
     among_cameras,
-    moved_by,
+    move_trajectory,
     shared_prior,
 )
 from jaxmocap.solvers.status import Status
@@ -84,9 +84,9 @@ def smooth_poses(
     trajectory, ended = start, None
     with two_workers() as workers:
         for soft in softness:
-            drawn = coarsely(problem, soft) if coarse else (softened(problem, soft), soft)
+            drawn = coarsely(problem, soft) if coarse else (soften_grids(problem, soft), soft)
             linearise = partial(linearise_problem, *drawn, workers)
-            ended = minimise(linearise, moved_by, trajectory, prior, solver)
+            ended = minimise(linearise, move_trajectory, trajectory, prior, solver)
             trajectory = ended.x
     assert ended is not None
     return SmoothedPoses(trajectory, ended.cost, ended.status)
@@ -103,19 +103,19 @@ def two_workers() -> Iterator[ThreadPoolExecutor]:
         yield workers
 
 
-def softened(problem: SmoothingProblem, softness: float) -> SmoothingProblem:
+def soften_grids(problem: SmoothingProblem, softness: float) -> SmoothingProblem:
     """The same, its grids as soft as what is drawn, and weighted as in the settings."""
     if not len(problem.views.frame):
         return problem
-    soft = problem.views.grids.each_grid(lambda grid: blurred(grid, softness))
-    grids = problem.settings.silhouettes.weighted(soft)
+    soft = problem.views.grids.each_grid(lambda grid: blur_grid(grid, softness))
+    grids = problem.settings.silhouettes.weigh(soft)
     return replace(problem, views=problem.views._replace(grids=grids))
 
 
 def coarsely(problem: SmoothingProblem, softness: float) -> tuple[SmoothingProblem, float]:
     """The same, softened, on cells twice as large, a quarter of them; and the softness there."""
-    soft = softened(problem, softness)
-    grids = soft.views.grids.halved()
+    soft = soften_grids(problem, softness)
+    grids = soft.views.grids.halve()
     return replace(soft, views=soft.views._replace(grids=grids)), softness / 2
 
 
@@ -136,7 +136,7 @@ def frames_fit(
     """Gauss-Newton terms of a batch of frames."""
 
     def of_frame(pose: Pose, own: Measurements) -> FramesFit:
-        r, J, points, points_J = linearised(terms, model, proportions, pose, own)
+        r, J, points, points_J = linearise_terms(terms, model, proportions, pose, own)
         hessian = jnp.matmul(J.T, J, precision=HIGHEST)
         pull = jnp.matmul(r, J, precision=HIGHEST)
         return FramesFit(jnp.sum(r**2), hessian, pull, points, points_J)

@@ -20,7 +20,7 @@ from jaxmocap.geometry.rows import GatheredRows
 from jaxmocap.smoothing.batch import FINELY, measurements_of
 from jaxmocap.smoothing.linearise import rows_of, smooth_poses
 from jaxmocap.smoothing.problem import UNTURNED, FirstPass, SmoothingProblem, Trajectory, Views
-from jaxmocap.smoothing.settings import SmoothingSettings, weighed_by_time
+from jaxmocap.smoothing.settings import SmoothingSettings, weigh_by_time
 from jaxmocap.smoothing.uncertainty import leave_one_out, with_deviations
 from jaxmocap.smoothing.walking import usual_habits, walkers_measurements
 
@@ -58,7 +58,7 @@ def smooth_markers(
     )  # fmt: skip
     measured |= usual
     views = VIEWS_A_SAMPLE * count + VIEWS_A_USUAL_SAMPLE * samples
-    weighted = weighed_by_time(settings, first_pass.times)
+    weighted = weigh_by_time(settings, first_pass.times)
     weighted = replace(weighted, proportions=settings.proportions * views)
     problem = SmoothingProblem(model, weighted, first_pass.times, measured, Views.no_cameras())
     start = Trajectory(first_pass.poses, np.zeros(len(PROPORTIONS), model.dtype), UNTURNED)

@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
-from jaxmocap.body.proportions import covariance_among_people, scaled
+from jaxmocap.body.proportions import covariance_among_people, scale_skeleton
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.compilation.arrays import on_device
 from jaxmocap.compilation.programs import Program
@@ -27,7 +27,7 @@ from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.evidence.smoothness import Smoothness, smoothness
 from jaxmocap.evidence.terms import Measurements
-from jaxmocap.geometry.cameras import Camera, turned
+from jaxmocap.geometry.cameras import Camera, turn_camera
 from jaxmocap.smoothing.settings import SmoothingSettings
 
 # A turn is a rotation vector.
@@ -140,14 +140,14 @@ class Trajectory(NamedTuple):
 
     def person(self, skeleton: Skeleton) -> Skeleton:
         """The skeleton with the estimated proportions."""
-        return scaled(skeleton, self.proportions)
+        return scale_skeleton(skeleton, self.proportions)
 
 
 _retract = Program(jax.vmap(retract), "retract")
-_turned = Program(jax.vmap(turned), "turned")
+_turned = Program(jax.vmap(turn_camera), "turned")
 
 
-def moved_by(trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray) -> Trajectory:
+def move_trajectory(trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray) -> Trajectory:
     """A trajectory moved by tangent vectors (T, 6 + D), what it shares by (P + 3 C,).
 
     Turns are so small that they add up.

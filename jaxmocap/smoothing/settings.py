@@ -94,7 +94,7 @@ class SmoothingSettings:
         return tuple(term for term in each if isinstance(term, Term))
 
 
-def weighed_by_time(settings: SmoothingSettings, times: Numbers) -> SmoothingSettings:
+def weigh_by_time(settings: SmoothingSettings, times: Numbers) -> SmoothingSettings:
     """With terms whose errors last counted like ``LASTING_HZ`` events a second.
 
     Args:

@@ -20,7 +20,7 @@ from jaxmocap.evidence.markers import ElbowGoals, MarkerPositions
 from jaxmocap.evidence.smoothness import Smoothness
 from jaxmocap.evidence.terms import Term
 from jaxmocap.smoothing.levenberg_marquardt import covariances, point_variances
-from jaxmocap.smoothing.linearise import linearise_problem, rows_of, softened, two_workers
+from jaxmocap.smoothing.linearise import linearise_problem, rows_of, soften_grids, two_workers
 from jaxmocap.smoothing.problem import LeftOut, SmoothingProblem, Trajectory
 from jaxmocap.smoothing.settings import LASTING_HZ, SmoothingSettings, with_lasting
 
@@ -67,9 +67,9 @@ def with_deviations(
     problem: SmoothingProblem, trajectory: Trajectory, softness: float
 ) -> Trajectory:
     """A trajectory that a solve with this softness ended with, and how sure it is."""
-    prior, soft = problem.motion_prior(), softened(problem, softness)
+    prior, soft = problem.motion_prior(), soften_grids(problem, softness)
     with two_workers() as workers:
-        alike = replace(soft, settings=counted_once(soft))
+        alike = replace(soft, settings=count_once(soft))
         measured = _variances(alike, softness, workers, trajectory, prior)
         guessed = measured
         if len(alike.views.frame) or "sight_lines" in alike.measured:
@@ -93,7 +93,7 @@ def _variances(
     return variances.reshape(-1, len(LANDMARKS), 3)
 
 
-def counted_once(problem: SmoothingProblem) -> SmoothingSettings:
+def count_once(problem: SmoothingProblem) -> SmoothingSettings:
     """Settings with errors that are alike counted once: of cells, and of what is usual."""
     silhouettes = problem.settings.silhouettes
     cells = np.asarray(silhouettes.deviation) * np.sqrt(np.asarray(silhouettes.redundancy))
@@ -135,7 +135,7 @@ def leave_one_out(
         show: called with the share done.
     """
     problem, there = _middle(problem, trajectory)
-    soft = softened(problem, softness)
+    soft = soften_grids(problem, softness)
     mismatch, result = float(problem.settings.mismatch), []
     each = list(_parts(soft))
     with two_workers() as workers:
@@ -174,7 +174,7 @@ def deviations_without(
 
 def _parts(problem: SmoothingProblem) -> Iterator[tuple[str, int | str | None, SmoothingProblem]]:
     """The problem, and what it is without each part of its evidence."""
-    by_itself, settings = problem.settings, counted_once(problem)
+    by_itself, settings = problem.settings, count_once(problem)
     problem = replace(problem, settings=settings)
     measured, views = problem.measured, problem.views
     yield "nothing", None, problem

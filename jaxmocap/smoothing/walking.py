@@ -26,7 +26,7 @@ from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.evidence.markers import are_present
 from jaxmocap.evidence.posture import Usual
 from jaxmocap.geometry.rows import ComputedRows, Index, row_blocks
-from jaxmocap.smoothing.facing import averaged, unit
+from jaxmocap.smoothing.facing import average_over_time, unit
 
 # Standard deviations of averages over time, seconds: of the way, of where walkers face,
 WAY_S, FACING_S = 0.25, 0.2
@@ -107,18 +107,18 @@ class Walk(NamedTuple):
             stature: metres.
         """
         velocity = np.gradient(crown[:, :2], times, axis=0) / stature
-        along = unit(averaged(velocity, times, WAY_S))
-        fast = np.linalg.norm(averaged(velocity, times, SPEED_S), axis=-1)
+        along = unit(average_over_time(velocity, times, WAY_S))
+        fast = np.linalg.norm(average_over_time(velocity, times, SPEED_S), axis=-1)
         # Whoever walks backwards or sideways faces elsewhere.
         goes = np.clip((fast - SLOW) / (BRISK - SLOW), 0, 1)
         goes = goes * np.clip(2 * np.sum(ahead * along, -1), 0, 1)
         turned = ahead + WAY_COUNTS * goes[:, None] * along
-        ahead = unit(averaged(turned, times, FACING_S))
+        ahead = unit(average_over_time(turned, times, FACING_S))
         goes = goes * np.clip((RUNNING - fast) / (RUNNING - HURRIED), 0, 1)
         R = _level_axes(ahead)
         local = [np.einsum("tij,tj->ti", R, wrist - crown) / stature for wrist in wrists]
         path = crown[:, :2] / stature
-        path = averaged(path, times, SMOOTH_S) - averaged(path, times, SWAY_S)
+        path = average_over_time(path, times, SMOOTH_S) - average_over_time(path, times, SWAY_S)
         sway = np.sum(path * R[:, 1, :2], -1)
         each = [
             _of_side(own * mirror, other * mirror, mirror[1] * sway, times)
@@ -171,7 +171,7 @@ def walkers_measurements(
         ahead: (T, 3) where these face.
         habits: of walkers.
     """
-    there = _measured(model, markers_world)
+    there = _has_markers(model, markers_world)
     if not there.any() or len(times) < 2:
         return {}, 0.0
     rows = landmark_rows(("vertex", "wrist_l", "wrist_r"))
@@ -236,7 +236,7 @@ def _usual_roots(
     return ComputedRows((len(ahead), len(each), 3, 3), of_rows)
 
 
-def _measured(model: Model, markers_world: np.ndarray) -> np.ndarray:
+def _has_markers(model: Model, markers_world: np.ndarray) -> np.ndarray:
     """(2, T) whether markers show the head and the left hand, the right hand."""
     tree, present = model.skeleton.tree, np.asarray(are_present(markers_world))
 

@@ -95,7 +95,7 @@ class Equations(NamedTuple):
         frames = banded.inverse_blocks(factor) - cross @ border.swapaxes(1, 2)
         return Covariances(frames, cross, shared)
 
-    def determined(self) -> bool:
+    def is_determined(self) -> bool:
         """Whether, undamped, every unknown has curvature beyond rounding."""
         try:
             factor = banded.factorise(self.rows)

@@ -131,7 +131,7 @@ def descend(
     leaves, tree = jax.tree.flatten(parameters)
 
     def stepped(leaves: list[Array], now: _Progress) -> _Progress:
-        return _stepped(problem, jax.tree.unflatten(tree, leaves), now)
+        return _take_step(problem, jax.tree.unflatten(tree, leaves), now)
 
     def by_itself(leaves: list[Array], *start: Any) -> Descent:
         step = partial(stepped, leaves)
@@ -175,7 +175,7 @@ def tree_where(condition: Array, one: Any, other: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
 
 
-def _stepped(problem: Problem, parameters: Any, now: _Progress) -> _Progress:
+def _take_step(problem: Problem, parameters: Any, now: _Progress) -> _Progress:
     """One step further."""
     # The point is linearised as it is tried, so that this is compiled once.
     there, first = problem.about(parameters, now.tried), now.damping < 0
@@ -186,7 +186,7 @@ def _stepped(problem: Problem, parameters: Any, now: _Progress) -> _Progress:
     more = jnp.maximum(NOT_LOWERED * now.damping, SHORTENED * now.shortening)
     damping = jnp.where(lowered, LOWERED * now.damping, more)
     damping = jnp.where(first, -now.damping, jnp.maximum(damping, LEAST_DAMPING))
-    move = _corrected_step(problem, parameters, best, local, damping)
+    move = _correct_step(problem, parameters, best, local, damping)
     along = -jnp.vdot(local.slope, move)
     short = jnp.max(jnp.abs(move)) < SHORT * jnp.sqrt(precision)
     short &= jnp.abs(along) / 2 < precision * (LITTLE + local.cost)
@@ -198,9 +198,7 @@ def _stepped(problem: Problem, parameters: Any, now: _Progress) -> _Progress:
     return _Progress(now.left - 1, best, local, tried, damping, shortening, short, ended)
 
 
-def _corrected_step(
-    problem: Problem, parameters: Any, x: Any, local: Local, damping: Array
-) -> Array:
+def _correct_step(problem: Problem, parameters: Any, x: Any, local: Local, damping: Array) -> Array:
     """A damped step (N,) within bounds, less what residuals bend by along it."""
     r, J, S = local
     low, high = problem.room(parameters, x)
@@ -219,7 +217,7 @@ def _corrected_step(
         free = jnp.where(moves[:, None] & moves, A, 0.0) + jnp.diag(jnp.where(moves, ridge, 1.0))
         factor = jax.lax.linalg.cholesky(free, symmetrize_input=False)
         push = slope + jnp.matmul(A, fixed, precision=HIGHEST)
-        wanted = _solved(factor, jnp.where(moves, -push, 0.0))
+        wanted = _solve_factor(factor, jnp.where(moves, -push, 0.0))
         positive = jnp.all(jnp.isfinite(wanted))
         beyond = positive & moves & ((wanted < low) | (wanted > high))
         step = jnp.clip(jnp.where(moves, wanted, fixed), low, high)
@@ -240,12 +238,12 @@ def _corrected_step(
         - r
         - jnp.matmul(J, step, precision=HIGHEST)
     )
-    back = _solved(factor, jnp.where(moves, -jnp.matmul(bent, J, precision=HIGHEST), 0.0))
+    back = _solve_factor(factor, jnp.where(moves, -jnp.matmul(bent, J, precision=HIGHEST), 0.0))
     shorter = jnp.sum(sizes * back**2) <= jnp.sum(sizes * step**2)
     return jnp.clip(step + jnp.where(shorter, back, 0.0), low, high)
 
 
-def _solved(factor: Array, right: Array) -> Array:
+def _solve_factor(factor: Array, right: Array) -> Array:
     by = partial(jax.lax.linalg.triangular_solve, factor, left_side=True, lower=True)
     return by(by(right[:, None]), transpose_a=True)[:, 0]
 

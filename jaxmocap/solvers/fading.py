@@ -20,7 +20,7 @@ class Fading(NamedTuple):
     rate: np.ndarray  # (N,) its change per second
     time: float  # () seconds
 
-    def corrected(self, offset: np.ndarray) -> "Fading":
+    def correct(self, offset: np.ndarray) -> "Fading":
         """With a track that from now on lies by ``offset`` behind the last one."""
         return self._replace(offset=self.offset + offset)
 

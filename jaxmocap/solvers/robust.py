@@ -14,7 +14,7 @@ MEDIAN_OF_LENGTHS = 1.1774
 TAILS = 5.0
 
 
-def shortened(off: Array) -> Array:
+def shorten_residuals(off: Array) -> Array:
     """Whitened vectors (..., N) shortened so that their squares grow as Student's t has it.
 
     That is as a logarithm, instead of without end.

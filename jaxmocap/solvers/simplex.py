@@ -98,12 +98,12 @@ def _learn(state: _State, values: Array, point_tolerance: float, cost_tolerance:
     rows = np.arange(last + 1, dtype=np.int32)
     decision = _decide(state, values)
     _, f_reflected, _, seconds, shrinks, ends = decision
-    vertices, costs, tried = _moved(state, values, decision, rows)
+    vertices, costs, tried = _move_vertices(state, values, decision, rows)
 
     is_complete = ends | (state.stage == last)
     vertices, costs = (
         _where(is_complete, new, old)
-        for new, old in zip(_ordered(vertices, costs), (vertices, costs), strict=True)
+        for new, old in zip(_order_vertices(vertices, costs), (vertices, costs), strict=True)
     )
     near = jnp.max(jnp.abs(vertices[:, 1:] - vertices[:, :1]), (1, 2)) <= point_tolerance
     flat = costs[:, -1] - costs[:, 0] <= cost_tolerance
@@ -146,7 +146,7 @@ def _decide(state: _State, values: Array) -> _Decision:
     return _Decision(factor, f_reflected, better, seconds, shrinks, ends)
 
 
-def _moved(
+def _move_vertices(
     state: _State, values: Array, decision: _Decision, rows: np.ndarray
 ) -> tuple[Array, Array, Array]:
     """Vertices and costs after a decision, not ordered, and the second point (B, n)."""
@@ -175,7 +175,7 @@ def _across(vertices: Array) -> tuple[Array, Array]:
     return centroid, centroid - vertices[:, -1]
 
 
-def _ordered(vertices: Array, costs: Array) -> tuple[Array, Array]:
+def _order_vertices(vertices: Array, costs: Array) -> tuple[Array, Array]:
     """By ascending cost."""
     order = jnp.argsort(costs, axis=1)
     return (

@@ -91,7 +91,7 @@ def photograph(rig: Rig, name: str, seed: int = 0, background: np.ndarray | None
     turned = RotatedMover(person_in_stance(rig, name), PHOTOGRAPHS[name][1])
     camera = _camera(rest_height(rig), 0.0)
     scene = Scene(camera, background, turned)
-    return Sensor.create(SIZE, rng).exposed(exposure(scene, DrawingCamera.of(camera), 0.0))
+    return Sensor.create(SIZE, rng).expose(exposure(scene, DrawingCamera.of(camera), 0.0))
 
 
 def backdrop(rng: np.random.Generator) -> np.ndarray:

@@ -80,7 +80,7 @@ class Scene:
         """A room furnished by the seed, or a bare one."""
         drawn = DrawingCamera.of(camera)
         rng = np.random.default_rng([seed, 2])
-        room = Room.furnished(drawn, rng) if furnished else Room.bare(drawn)
+        room = Room.furnish(drawn, rng) if furnished else Room.bare(drawn)
         return cls(camera, room, mover, seed)
 
 
@@ -94,7 +94,7 @@ def render_frames(
     camera = DrawingCamera.of(scene.camera)
     sensor = Sensor.create(camera.size, np.random.default_rng([scene.seed, 3]))
     for i, time in enumerate(times):
-        yield sensor.exposed(exposure(scene, camera, float(time)))
+        yield sensor.expose(exposure(scene, camera, float(time)))
         if progress:
             progress(i + 1, len(times))
 
@@ -102,12 +102,12 @@ def render_frames(
 def exposure(scene: Scene, camera: DrawingCamera, time: float) -> np.ndarray:
     """The light of one exposure: (H, W, 3), BGR uint8, without the sensor's noise."""
     vertices = scene.mover.vertices(time + EXPOSURE_S * np.array([-0.5, 0.0, 0.5]))
-    middle, pixels = vertices[1], _blurred(camera.pixels(vertices))
-    image = shadowed(scene, camera, middle)
+    middle, pixels = vertices[1], _blur_pixels(camera.pixels(vertices))
+    image = draw_shadow(scene, camera, middle)
     box = _box(pixels, camera.size)
     if box is None:
         return image
-    order, colours = _shaded(scene.mover.mesh, camera, middle)
+    order, colours = _shade_faces(scene.mover.mesh, camera, middle)
     faces = scene.mover.mesh.faces[order]
     corners = np.ascontiguousarray(to_fixed(pixels - box[0])[:, faces])
     (left, top), (right, bottom) = box
@@ -117,7 +117,7 @@ def exposure(scene: Scene, camera: DrawingCamera, time: float) -> np.ndarray:
     )
     total = np.zeros(part.shape, np.float32)
     for quads in corners:
-        drawn = _painted(empty.copy(), quads, colours)
+        drawn = _paint_quads(empty.copy(), quads, colours)
         total += cv2.resize(drawn, part.shape[1::-1], interpolation=cv2.INTER_AREA)
     image[top:bottom, left:right] = np.rint(total / len(corners)).astype(np.uint8)
     return image
@@ -130,17 +130,17 @@ def silhouette(mesh: QuadMesh, camera: DrawingCamera, vertices: np.ndarray) -> n
     box = _box(pixels[None], camera.size)
     if box is None:
         return mask
-    order, _ = _shaded(mesh, camera, vertices)
+    order, _ = _shade_faces(mesh, camera, vertices)
     corners = np.ascontiguousarray(to_fixed(pixels - box[0])[mesh.faces[order]])
     (left, top), (right, bottom) = box
     canvas = np.zeros(((bottom - top) * OVERSAMPLING, (right - left) * OVERSAMPLING), np.uint8)
-    drawn = _painted(canvas, corners, [(255.0,)] * len(corners))
+    drawn = _paint_quads(canvas, corners, [(255.0,)] * len(corners))
     small = cv2.resize(drawn, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
     mask[top:bottom, left:right] = small >= 128
     return mask
 
 
-def _blurred(pixels: np.ndarray) -> np.ndarray:
+def _blur_pixels(pixels: np.ndarray) -> np.ndarray:
     """Pixels (N, V, 2) at instants evenly within the exposure, from its start, middle and end."""
     start, middle, end = pixels
     farthest = np.linalg.norm(end - start, axis=-1).max()
@@ -149,7 +149,7 @@ def _blurred(pixels: np.ndarray) -> np.ndarray:
     return middle + np.abs(shares) * np.where(shares < 0, start - middle, end - middle)
 
 
-def _painted(canvas: np.ndarray, quads: np.ndarray, colours: list[tuple]) -> np.ndarray:
+def _paint_quads(canvas: np.ndarray, quads: np.ndarray, colours: list[tuple]) -> np.ndarray:
     """Quadrilaterals (N, 4, 2), fixed-point, painted one over the other."""
     fill = cv2.fillConvexPoly
     for quad, colour in zip(quads, colours, strict=True):
@@ -165,7 +165,7 @@ def _box(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
     return box if (box[1] > box[0]).all() else None
 
 
-def _shaded(
+def _shade_faces(
     mesh: QuadMesh, camera: DrawingCamera, vertices: np.ndarray
 ) -> tuple[np.ndarray, list[tuple]]:
     """Faces towards the camera, from back to front, and their colours, BGR 0 to 255."""
@@ -185,7 +185,7 @@ def _shaded(
     return order, [tuple(colour) for colour in colours.tolist()]
 
 
-def shadowed(scene: Scene, camera: DrawingCamera, vertices: np.ndarray) -> np.ndarray:
+def draw_shadow(scene: Scene, camera: DrawingCamera, vertices: np.ndarray) -> np.ndarray:
     """The room with the person's soft shadow on floor and back wall: (H, W, 3), BGR uint8."""
     to_floor = np.maximum(vertices[:, 2], 0) / LAMP[2]
     to_wall = (vertices[:, 0] - WALL_X) / LAMP[0]
@@ -223,7 +223,7 @@ class Sensor:
         deviations = np.sqrt(READ_NOISE**2 + SHOT_NOISE * np.arange(256)).astype(np.float32)
         return cls(cv2.merge([falloff] * 3), grain, deviations, rng)
 
-    def exposed(self, image: np.ndarray) -> np.ndarray:
+    def expose(self, image: np.ndarray) -> np.ndarray:
         """The frame (H, W, 3), BGR uint8, of an exposure."""
         height, width = image.shape[:2]
         top = int(self.rng.integers(self.grain.shape[0] - height + 1))

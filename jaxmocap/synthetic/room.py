@@ -35,7 +35,7 @@ class Room:
     image: np.ndarray  # (2 H, 2 W, 3) BGR uint8
 
     @classmethod
-    def furnished(cls, camera: DrawingCamera, rng: np.random.Generator) -> np.ndarray:
+    def furnish(cls, camera: DrawingCamera, rng: np.random.Generator) -> np.ndarray:
         """An image (H, W, 3), BGR uint8, of a room with everything in it."""
         width, height = camera.size
         room = cls(

@@ -48,8 +48,8 @@ def test_the_real_recording_is_judged_by_eight_joints():
 
 def test_a_stage_does_not_count_those_that_it_calls():
     clock = StageClock()
-    fit = clock.timed("fit", sleep)
-    again = clock.timed("hypotheses", lambda: (sleep(0.002), fit(0.01)))
+    fit = clock.time_stage("fit", sleep)
+    again = clock.time_stage("hypotheses", lambda: (sleep(0.002), fit(0.01)))
     clock.step(again)()
     (spent,) = clock.frames
     assert spent["fit"] >= 10 and spent["hypotheses"] >= 2

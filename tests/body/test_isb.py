@@ -18,9 +18,9 @@ from jaxmocap.cli.program import main
 from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import save_motion
-from jaxmocap.formats.time_series.isb import LIMB_JOINTS, isb_angles, made_by_hinges
+from jaxmocap.formats.time_series.isb import LIMB_JOINTS, hinge_angles, isb_angles
 from jaxmocap.formats.time_series.mot import read_mot
-from jaxmocap.formats.time_series.resampling import even_times, resampled_motion
+from jaxmocap.formats.time_series.resampling import even_times, resample_motion
 from jaxmocap.geometry.euler import continuous_euler
 
 SKELETON = Skeleton.human(1.75)
@@ -52,7 +52,7 @@ def test_the_skeleton_tells_what_its_hinges_can_and_nothing_else():
     trunk = {"trunk_extension", "neck_extension", "neck_bending"}
     limbs = {f"{name}_{side}" for name in OF_LIMBS for side in "lr"}
     assert set(angles_of({})) == world | trunk | limbs
-    unmade = {joint.name for joint in LIMB_JOINTS if not made_by_hinges(SKELETON, joint, "l")}
+    unmade = {joint.name for joint in LIMB_JOINTS if not hinge_angles(SKELETON, joint, "l")}
     assert unmade == {"ankle", "wrist"}
 
 
@@ -199,7 +199,7 @@ def test_turning_about_goes_on_past_180_and_over_unknown_samples():
 def test_no_angle_of_a_lively_motion_jumps():
     """Of a shoulder's plane and rotation as much is meant as the arm is raised."""
     motion = moving_body()
-    actual = isb_angles(resampled_motion(motion, even_times(motion.times, 10 * RATE)))
+    actual = isb_angles(resample_motion(motion, even_times(motion.times, 10 * RATE)))
     for name, angle in actual.items():
         raised = np.ones(len(angle) - 1)
         if name.startswith(("shoulder_plane", "shoulder_rotation")):

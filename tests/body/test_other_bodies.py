@@ -11,7 +11,7 @@ import pytest
 from jaxmocap.body.kinematics import Sites, forward, joined_sites, landmark_sites, site_positions
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose, relaxed_pose
-from jaxmocap.body.proportions import GIRTHS, LENGTHS, scaled
+from jaxmocap.body.proportions import GIRTHS, LENGTHS, scale_skeleton
 from jaxmocap.body.skeleton import (
     LANDMARK_PLACES,
     LANDMARKS,
@@ -106,7 +106,10 @@ def renamed(body: Skeleton, **names: str) -> Skeleton:
 def test_a_tail_named_as_a_spine_is_not_scaled_as_one():
     factors = jnp.linspace(-0.1, 0.1, len(LENGTHS) + len(GIRTHS))
     body = load_skeleton(TAILED)
-    named, other = scaled(body, factors), scaled(renamed(body, tail1="spine_tail"), factors)
+    named, other = (
+        scale_skeleton(body, factors),
+        scale_skeleton(renamed(body, tail1="spine_tail"), factors),
+    )
     tail = body.tree.bones_in("tail")
     np.testing.assert_array_equal(other.lengths[tail], body.lengths[tail])
     np.testing.assert_array_equal(other.lengths, named.lengths)

@@ -13,7 +13,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.cli.program import main
 from jaxmocap.formats.motion_npz import load_motion, save_motion
-from jaxmocap.pipelines.retarget import feet, grounded, retargeted
+from jaxmocap.pipelines.retarget import feet, ground_contacts, retarget_motion
 
 PERSON = Skeleton.human(1.75)
 TIMES = np.arange(50) / 30
@@ -43,8 +43,8 @@ def other_proportions() -> Skeleton:
 def test_the_foot_that_stood_stands_for_the_other_person_too():
     motion, other = on_one_foot(), other_proportions()
     before = feet(PERSON, motion.poses)
-    assert grounded(before)[:, 0].all()
-    played = retargeted(motion, other)
+    assert ground_contacts(before)[:, 0].all()
+    played = retarget_motion(motion, other)
     after = feet(other, played.poses)
     assert np.ptp(after[:, 0], axis=0).max() < 0.01
     # As the pelvis went, scaled alone, it would slide by centimetres.
@@ -55,7 +55,7 @@ def test_the_foot_that_stood_stands_for_the_other_person_too():
 
 def test_joints_bend_as_they_did():
     motion = on_one_foot()
-    played = retargeted(motion, other_proportions())
+    played = retarget_motion(motion, other_proportions())
     np.testing.assert_array_equal(played.poses.angles, motion.poses.angles)
     np.testing.assert_array_equal(played.poses.quaternion, motion.poses.quaternion)
 
@@ -65,7 +65,7 @@ def test_joints_bend_as_they_did():
 def test_who_is_larger_in_everything_does_everything_larger(factor):
     motion = on_one_foot()
     larger = replace(PERSON, lengths=PERSON.lengths * jnp.float32(factor))
-    ours, theirs = motion.joints(), retargeted(motion, larger).joints()
+    ours, theirs = motion.joints(), retarget_motion(motion, larger).joints()
     for name in ("pelvis", "wrist_l", "knee_r", "ankle_l"):
         moved = np.diff(theirs[name], axis=0) - factor * np.diff(ours[name], axis=0)
         assert np.abs(moved).max() < 2e-3, name
@@ -77,9 +77,9 @@ def test_a_leap_leaves_the_ground():
     height = np.where((TIMES > 0.5) & (TIMES < 1.0), 0.4, 0.0)
     leaping = np.asarray(motion.poses.position) + height[:, None] * [0, 0, 1]
     motion = replace(motion, poses=motion.poses._replace(position=jnp.asarray(leaping)))
-    played = retargeted(motion, Skeleton.human(1.6))
+    played = retarget_motion(motion, Skeleton.human(1.6))
     air = height > 0
-    assert not grounded(feet(PERSON, motion.poses))[air].any()
+    assert not ground_contacts(feet(PERSON, motion.poses))[air].any()
     ankles = feet(played.skeleton, played.poses)[:, 0, 2]
     assert ankles[air][3:-3].min() > ankles[~air].max() + 0.25
 
@@ -87,7 +87,7 @@ def test_a_leap_leaves_the_ground():
 def test_other_bones_are_refused():
     trunk = replace(PERSON.tree, bones=tuple(f"b{i}" for i in range(len(PERSON.tree.bones))))
     with pytest.raises(ValueError, match="expected the bones spine1"):
-        retargeted(on_one_foot(), replace(PERSON, tree=trunk))
+        retarget_motion(on_one_foot(), replace(PERSON, tree=trunk))
 
 
 def test_the_command_writes_the_other_persons_motion(tmp_path, capsys):

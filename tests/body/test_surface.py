@@ -12,14 +12,20 @@ from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.loft import generic_surface, lofted_parts, rest_joints, stature_of
 from jaxmocap.body.surfaces.pieces import body_pieces
-from jaxmocap.body.surfaces.surface import Surface, low_pass, posed, resampled, rest_nodes
+from jaxmocap.body.surfaces.surface import (
+    Surface,
+    low_pass,
+    pose_points,
+    resample_surface,
+    rest_nodes,
+)
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.surface import load_surface, save_surface
 from jaxmocap.geometry.fourier import cosine_matrix, fourier_matrix, linear_matrix
 from jaxmocap.synthetic.people.rigged_mesh import RIG_LANDMARKS
 
 PEOPLE = RECORDINGS / "person" / "person.npz"
-FORWARD, POSED = jax.jit(forward), jax.jit(posed)
+FORWARD, POSED = jax.jit(forward), jax.jit(pose_points)
 TALL = with_joints(Skeleton.human(1.8), "whole.toml")
 
 
@@ -125,7 +131,7 @@ def test_girth_widens_trunk_and_limbs_and_hardly_the_head():
 
 def test_a_denser_surface_is_the_same_surface(surface):
     joints = rest_joints(TALL)
-    dense = resampled(surface, joints, 0.012)
+    dense = resample_surface(surface, joints, 0.012)
     nodes, coarse = rest_nodes(dense, joints), rest_nodes(surface, joints)
     for patch in dense.patches:
         grid_ = grid(dense, nodes, patch.name)

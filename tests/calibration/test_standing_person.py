@@ -23,7 +23,7 @@ def walked(place: StandingCamera, count: int = 30, noise_px: float = 3.0):
     points[:, 2] += ANKLE_M - points[landmark_rows(("ankle_l",))[0], 2]
     away = np.linspace(3, 6, count)
     moved = points[landmark_rows(NAMES)] + np.stack([away, 0.2 * away, 0 * away], 1)[:, None]
-    pixels = np.asarray(project(place.placed(LENS), jnp.asarray(moved, float)))
+    pixels = np.asarray(project(place.stand_camera(LENS), jnp.asarray(moved, float)))
     return pixels + np.random.default_rng(0).normal(0, noise_px, pixels.shape)
 
 
@@ -80,7 +80,7 @@ def test_frames_of_who_squats_or_bows_are_left_out_where_joints_tell(bent):
     points = np.stack([upright, low, low, low, low])[np.arange(30) % 5]
     points[..., 2] += ANKLE_M - points[:, [NAMES.index("ankle_l")], 2]
     points[..., 0] += np.linspace(3, 6, 30)[:, None]
-    camera = place.placed(LENS)
+    camera = place.stand_camera(LENS)
     pixels, sure = np.asarray(project(camera, jnp.asarray(points))), np.ones(points.shape[:2])
     joints_cam = np.asarray(points @ np.asarray(camera.T_cam_world)[:3, :3].T, float)
     found = camera_by_person(LENS, NAMES, pixels, sure, PERSON, joints_cam)
@@ -102,7 +102,7 @@ def test_who_is_hardly_seen_places_no_camera():
 
 
 def test_a_placed_camera_looks_along_x_from_its_height():
-    camera = StandingCamera(1.5, np.radians(10), np.radians(20), np.zeros(3)).placed(LENS)
+    camera = StandingCamera(1.5, np.radians(10), np.radians(20), np.zeros(3)).stand_camera(LENS)
     np.testing.assert_allclose(np.asarray(camera.position_world), [0, 0, 1.5], atol=1e-6)
     ahead = np.asarray(camera.T_cam_world)[2, :3]
     np.testing.assert_allclose(

@@ -16,7 +16,7 @@ NOBODY = np.zeros((0, 1, 2))
 
 def drawn(lines_world: np.ndarray, place: StandingCamera, image: np.ndarray) -> None:
     """Lines (N, 2, 3) of a room, as a camera has them, into the image."""
-    ends = np.asarray(project(place.placed(LENS), jnp.asarray(lines_world, jnp.float32)))
+    ends = np.asarray(project(place.stand_camera(LENS), jnp.asarray(lines_world, jnp.float32)))
     for start, end in ends.round().astype(int).tolist():
         cv2.line(image, start, end, (30,), 2, cv2.LINE_AA)
 

@@ -292,8 +292,8 @@ def test_a_truncated_video_just_ends(tmp_path):
 
 def test_frames_that_a_decoder_skips_repeats_or_shuffles_keep_their_places(tmp_path, monkeypatch):
     video = Video(write_video(tmp_path / "v.mp4", range(6)))
-    decoded = dict(video._decoded())
-    monkeypatch.setattr(video, "_decoded", lambda: [(i, decoded[i]) for i in (0, 2, 1, 2, 4)])
+    decoded = dict(video._decode_frames())
+    monkeypatch.setattr(video, "_decode_frames", lambda: [(i, decoded[i]) for i in (0, 2, 1, 2, 4)])
     assert numbers(video) == [0, None, 2, None, 4, None]
 
 

@@ -153,7 +153,7 @@ def test_shapes_are_given_before_anything_is_compiled(folder: Path) -> None:
     program = counted(traced)
     assert program.shapes(*like).point.shape == (2,)
     assert not folder.exists()
-    compiled = program.lowered(*like)()
+    compiled = program.lower(*like)()
     np.testing.assert_allclose(compiled(ANGLE, POINT).parts["length"], 5.0, rtol=1e-5)
     later = counted(traced).shapes(*like)
     assert later == program.shapes(*like) and later.rest is None
@@ -164,10 +164,10 @@ def test_arguments_that_come_first_are_numbers_and_no_part_of_the_program(folder
     traced: list[int] = []
     program = counted(traced)
     still, turned = program.after(np.float32(0.0)), program.after(np.float32(np.pi))
-    assert still.lowered(POINT)()(POINT).parts["length"] == pytest.approx(5.0, rel=1e-5)
+    assert still.lower(POINT)()(POINT).parts["length"] == pytest.approx(5.0, rel=1e-5)
     np.testing.assert_allclose(still(POINT).point, POINT, atol=1e-5)
     np.testing.assert_allclose(turned(POINT).point, -POINT, atol=1e-5)
-    np.testing.assert_allclose(turned.lowered(POINT)()(POINT).point, -POINT, atol=1e-5)
+    np.testing.assert_allclose(turned.lower(POINT)()(POINT).point, -POINT, atol=1e-5)
     assert len(traced) == 1 and len(list(folder.iterdir())) == 1
 
 

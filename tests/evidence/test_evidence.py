@@ -35,8 +35,8 @@ from jaxmocap.geometry.outlines import Discs
 from jaxmocap.hybrid.paper.chamfer import (
     Chamfer,
     chamfer_sum,
-    drawn_distance,
-    integrated_distance,
+    draw_distance,
+    integrate_distance,
     soft_coverage,
 )
 from jaxmocap.hybrid.settings import Settings, SimplexSettings
@@ -47,7 +47,7 @@ from jaxmocap.reference.hybrid import raster as reference
 GRID = 20
 COVERAGE = jax.jit(soft_coverage, static_argnums=1)
 CHAMFER = jax.jit(chamfer_sum)
-DRAWN, INTEGRATED = jax.jit(drawn_distance), jax.jit(integrated_distance)
+DRAWN, INTEGRATED = jax.jit(draw_distance), jax.jit(integrate_distance)
 OUTLINE = jax.jit(outline_distance)
 ARM_COST = jax.jit(Chamfer.arm_cost)
 # Of coverage, 0 to 1, and of costs, relative.

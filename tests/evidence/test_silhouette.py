@@ -16,7 +16,7 @@ from watched_arms import FRONT, PERSON, TRUTH
 
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import retract
-from jaxmocap.body.proportions import PROPORTIONS, scaled
+from jaxmocap.body.proportions import PROPORTIONS, scale_skeleton
 from jaxmocap.body.surfaces.cones import cones, project_cones
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.appearance.hulls import BENEFIT, draw_hulls, part_odds
@@ -28,11 +28,11 @@ from jaxmocap.evidence.silhouettes import (
     project_limbs,
     silhouette_fit,
 )
-from jaxmocap.geometry.cameras import focal_length, turned
+from jaxmocap.geometry.cameras import focal_length, turn_camera
 from jaxmocap.geometry.outlines import Discs, signed_distance
 from jaxmocap.images.colours import Colours, colour_bins, learn_colours
 from jaxmocap.images.regions import Region, in_other_region
-from jaxmocap.images.silhouette_grid import Grid, blurred, cells, coverage_fit
+from jaxmocap.images.silhouette_grid import Grid, blur_grid, cells, coverage_fit
 from jaxmocap.reference.hybrid import silhouette as reference
 
 CELLS, LIMBS, SOFTNESS = 16, 4, 1.3
@@ -140,7 +140,7 @@ def test_blurring_keeps_what_is_unknown_without_weight():
     rng = np.random.default_rng(3)
     probability, weight = rng.uniform(0, 1, (2, 2, 40, 40)).astype(np.float32)
     weight[:, :, :20] = 0
-    soft = blurred(Grid(probability, weight), 1.0)
+    soft = blur_grid(Grid(probability, weight), 1.0)
     # The blur reaches a few cells into the unknown half.
     assert not soft.weight[:, :, :14].any() and not soft.probability[:, :, :14].any()
     assert (soft.weight[:, :, 26:] > 0.05).all()
@@ -152,10 +152,10 @@ def test_blurring_averages_by_weight():
     left = np.arange(30) < 15
     # Where nothing was measured a wild guess stands; it must not spread.
     grid = Grid(np.where(left, ones, 0.3 * ones), np.where(left, 0 * ones, ones))
-    soft = blurred(grid, 2.0)
+    soft = blur_grid(grid, 2.0)
     weighted = soft.weight > 0.01
     np.testing.assert_allclose(soft.probability[weighted], 0.3, atol=0.03)
-    even = blurred(Grid(ones * left, ones), 2.0)
+    even = blur_grid(Grid(ones * left, ones), 2.0)
     expected = cv2.GaussianBlur((ones * left)[0], (0, 0), 2.0, borderType=cv2.BORDER_REPLICATE)
     np.testing.assert_allclose(even.probability[0], expected, atol=2e-3)
     np.testing.assert_allclose(even.weight, 1, atol=1e-6)
@@ -164,8 +164,8 @@ def test_blurring_averages_by_weight():
 def test_each_grid_of_a_batch_is_blurred_by_itself():
     rng = np.random.default_rng(4)
     probability, weight = rng.uniform(0, 1, (2, 3, 20, 20)).astype(np.float32)
-    together = blurred(Grid(probability, weight), 1.5)
-    alone = blurred(Grid(probability[1:2], weight[1:2]), 1.5)
+    together = blur_grid(Grid(probability, weight), 1.5)
+    alone = blur_grid(Grid(probability[1:2], weight[1:2]), 1.5)
     np.testing.assert_array_equal(together.probability[1:2], alone.probability)
     np.testing.assert_array_equal(together.weight[1:2], alone.weight)
 
@@ -270,9 +270,9 @@ def moved_cost(step, skeleton, proportions, pose, camera, grids, softness):
     """The silhouette's cost of pose, proportions and camera moved by a tangent vector."""
     count = step.shape[0] - proportions.shape[0] - 3
     of_pose, lengths, turn = jnp.split(step, [count, step.shape[0] - 3])
-    person = scaled(skeleton, proportions + lengths)
+    person = scale_skeleton(skeleton, proportions + lengths)
     frames = forward(person, retract(pose, of_pose))
-    return silhouette_cost(person, frames, turned(camera, turn), grids, softness)
+    return silhouette_cost(person, frames, turn_camera(camera, turn), grids, softness)
 
 
 FITTED, COSTED = jax.jit(silhouette_fit), jax.jit(moved_cost)
@@ -386,8 +386,8 @@ def test_the_silhouettes_hessian_is_the_costs_where_all_is_as_drawn():
         def covered(probability):
             observed = grids._replace(person=Grid(probability, ones))
             return silhouette_cost(
-                scaled(skeleton, proportions),
-                forward(scaled(skeleton, proportions), pose),
+                scale_skeleton(skeleton, proportions),
+                forward(scale_skeleton(skeleton, proportions), pose),
                 camera, observed, softness,
             )  # fmt: skip
 

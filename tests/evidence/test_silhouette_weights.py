@@ -68,7 +68,7 @@ def test_a_picture_without_weight_prices_no_candidate(picture):
 def test_by_default_both_pictures_count_as_they_are():
     grids = views(COUNT).grids
     same, half = (
-        weighing(views(COUNT), **weights).settings.silhouettes.weighted(grids)
+        weighing(views(COUNT), **weights).settings.silhouettes.weigh(grids)
         for weights in ({}, {"forearms": 0.5})
     )
     assert isinstance(half, SilhouetteGrids)

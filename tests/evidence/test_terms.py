@@ -32,12 +32,12 @@ import jaxmocap
 from jaxmocap.body.kinematics import joined_sites, landmark_sites, landmarks
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
-from jaxmocap.body.proportions import PROPORTIONS, scaled
+from jaxmocap.body.proportions import PROPORTIONS, scale_skeleton
 from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
-from jaxmocap.evidence.expansion import expanded, linearised, linearised_term
+from jaxmocap.evidence.expansion import expand_terms, linearise_term, linearise_terms
 from jaxmocap.evidence.ground import FeetOnFloor, KneesOverFeet
 from jaxmocap.evidence.keypoints import EstimatedDepths, lines_of_sight
 from jaxmocap.evidence.markers import Goals, MarkerPositions, PointGoals, SearchedElbows
@@ -93,12 +93,12 @@ def through_everything(pose, one):
     dofs = ROOT_DOF + pose.angles.size
 
     def moved(step):
-        person, there = scaled(PERSON, LOGARITHMS + step[dofs:]), retract(pose, step[:dofs])
+        person, there = scale_skeleton(PERSON, LOGARITHMS + step[dofs:]), retract(pose, step[:dofs])
         r = residuals(SETTINGS.terms, replace(MODEL, skeleton=person), there, one)
         return r, landmarks(person, there).ravel()
 
     still = jnp.zeros(dofs + len(PROPORTIONS))
-    ours = linearised(SETTINGS.terms, MODEL, LOGARITHMS, pose, one)
+    ours = linearise_terms(SETTINGS.terms, MODEL, LOGARITHMS, pose, one)
     return moved(still), jax.jacfwd(moved)(still), ours
 
 
@@ -122,7 +122,7 @@ def test_a_term_s_own_formula_is_its_derivative():
             return jnp.full((*body.markers.shape, model.skeleton.costs.size), 7.0)
 
     pose, one = frame("markers")
-    J = linearised((Stated(),), MODEL, LOGARITHMS, pose, one).jacobian
+    J = linearise_terms((Stated(),), MODEL, LOGARITHMS, pose, one).jacobian
     by_pose = J[:, : -len(LOGARITHMS)]
     np.testing.assert_array_equal(by_pose, np.full(by_pose.shape, 7.0))
 
@@ -167,7 +167,7 @@ def another_moment() -> dict[str, Any]:
         "centre": pose,
         "last": LastPose(pose, np.linspace(0.01, 0.2, dofs - ROOT_DOF), np.bool_(True)),
         "estimate": EstimatedPose(pose, np.eye(dofs) + 0.1, np.linspace(-1, 1, dofs)),
-        "edges": jax.jit(EdgeEvidence.weighted)(AREA, MODEL, slanted_fields(), on_device(pose)),
+        "edges": jax.jit(EdgeEvidence.weigh)(AREA, MODEL, slanted_fields(), on_device(pose)),
     }
 
 
@@ -184,19 +184,19 @@ OF_FEET = ("MarkerPositions", "Pelvis", "Ground", "AnkleRange", "KneesOverFeet",
 def all_jacobians(terms, model, pose, measured):
     """Of all residuals of terms, and the terms' sizes.
 
-    By ``linearised``, by central differences, and by the terms' own formulas.
+    By ``linearise_terms``, by central differences, and by the terms' own formulas.
     """
     dofs, logarithms = ROOT_DOF + pose.angles.size, jnp.asarray(LOGARITHMS, float)
 
     def moved(step):
-        person = replace(model, skeleton=scaled(model.skeleton, logarithms + step[dofs:]))
+        person = replace(model, skeleton=scale_skeleton(model.skeleton, logarithms + step[dofs:]))
         return residuals(terms, person, retract(pose, step[:dofs]), measured)
 
     steps = 1e-6 * jnp.eye(dofs + len(PROPORTIONS))
     ahead, behind = jnp.split(jax.vmap(moved)(jnp.concatenate([steps, -steps])), 2)
-    ours = linearised(terms, model, logarithms, pose, measured).jacobian
-    person = replace(model, skeleton=scaled(model.skeleton, logarithms))
-    own = [linearised_term(term, person, pose, measured)[1].reshape(-1, dofs) for term in terms]
+    ours = linearise_terms(terms, model, logarithms, pose, measured).jacobian
+    person = replace(model, skeleton=scale_skeleton(model.skeleton, logarithms))
+    own = [linearise_term(term, person, pose, measured)[1].reshape(-1, dofs) for term in terms]
     sizes = jnp.array([len(part) for part in own])
     return ours, (ahead - behind).T / 2e-6, jnp.concatenate(own), sizes
 
@@ -264,7 +264,7 @@ def all_curvatures(terms, model, pose, measured):
     def symmetric(matrix):
         return (matrix + matrix.T) / 2
 
-    ours = [symmetric(expanded((term,), model, pose, measured)[2]) for term in terms]
+    ours = [symmetric(expand_terms((term,), model, pose, measured)[2]) for term in terms]
     return jnp.stack(ours), jnp.stack([expected(term) for term in terms])
 
 
@@ -290,8 +290,8 @@ def test_the_second_order_keeps_the_order_of_terms():
     with double():
         terms, model, measured = in_double((terms, MODEL, another_moment()))
         pose = jax.jit(retract)(measured["centre"], jnp.full(PERSON.costs.size, 0.01))
-        r, J, _ = jax.jit(expanded)(terms, model, pose, measured)
-        expected = jax.jit(linearised)(terms, model, jnp.zeros(0), pose, measured)
+        r, J, _ = jax.jit(expand_terms)(terms, model, pose, measured)
+        expected = jax.jit(linearise_terms)(terms, model, jnp.zeros(0), pose, measured)
     np.testing.assert_allclose(r, expected.residuals, atol=1e-9)
     np.testing.assert_allclose(J, expected.jacobian, atol=1e-6)
 
@@ -374,7 +374,7 @@ def test_a_new_term_takes_part_in_the_gradient_refinement():
     fields = fields._replace(available=np.ones((2, 2), bool))
 
     settings = Settings(refine="gradient", search=False, gradient=GradientWithAStick())
-    edges = jax.jit(EdgeEvidence.weighted)(settings.edges, model, fields, start)
+    edges = jax.jit(EdgeEvidence.weigh)(settings.edges, model, fields, start)
     actual, _ = jax.jit(refine_body)(model, settings, edges, start, aims)
     before, after = (hands_apart(points_of(jax.tree.map(lambda part: part[None], each)))
                      for each in (start, actual))  # fmt: skip

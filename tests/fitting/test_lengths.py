@@ -25,7 +25,13 @@ from painted_motion import (
 )
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.proportions import GIRTHS, LENGTHS, PROPORTIONS, covariance_among_people, scaled
+from jaxmocap.body.proportions import (
+    GIRTHS,
+    LENGTHS,
+    PROPORTIONS,
+    covariance_among_people,
+    scale_skeleton,
+)
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.calibration.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
@@ -54,7 +60,7 @@ COUNT, SOFTNESS = 64, (0.8,)
 def test_a_factor_changes_its_own_bones_and_nothing_else():
     for row, proportion in enumerate((*LENGTHS, *GIRTHS)):
         logarithms = jnp.zeros(ALL).at[row].set(0.1)
-        person = scaled(PERSON, logarithms)
+        person = scale_skeleton(PERSON, logarithms)
         own = np.isin(PERSON.tree.bones, PERSON.tree.names_in(*proportion.bones))
         assert own.any()
         lengths = np.where(own & (row < len(LENGTHS)), np.exp(0.1), 1.0)
@@ -67,7 +73,9 @@ def test_a_factor_changes_its_own_bones_and_nothing_else():
 def test_fewer_factors_are_the_first_ones():
     few = jnp.array([0.05, -0.04])
     padded = jnp.concatenate([few, jnp.zeros(ALL - 2)])
-    np.testing.assert_allclose(scaled(PERSON, few).lengths, scaled(PERSON, padded).lengths)
+    np.testing.assert_allclose(
+        scale_skeleton(PERSON, few).lengths, scale_skeleton(PERSON, padded).lengths
+    )
 
 
 def test_people_of_one_stature_have_lengths_in_common():
@@ -107,7 +115,7 @@ def of_own_flesh() -> Views:
 def fitted(worth: float, blind: bool = False) -> LengthsFit:
     """Of a person who is stated wrongly."""
     logarithms = np.array([WRONG.get(name, 0.0) for name in NAMES])
-    stated = scaled(PERSON, jnp.asarray(logarithms, jnp.float32))
+    stated = scale_skeleton(PERSON, jnp.asarray(logarithms, jnp.float32))
     shown = of_own_flesh()
     drawn_recording = problem(COUNT, shown.none if blind else shown)
     drawn_recording = replace(drawn_recording, model=replace(MODEL, skeleton=stated))
@@ -152,7 +160,7 @@ def some_fit() -> LengthsFit:
 
 def test_a_report_says_of_each_length_whether_it_is_determined(tmp_path):
     fit, stated = some_fit(), Skeleton.human(1.8)
-    person = scaled(stated, jnp.asarray(fit.logarithms, jnp.float32))
+    person = scale_skeleton(stated, jnp.asarray(fit.logarithms, jnp.float32))
     report = LengthsReport.of(stated, person, 1.8, fit, tmp_path / "subject.toml")
     verdicts = {length.name: length.verdict for length in report.lengths}
     assert verdicts.pop("trunk length") == DETERMINED

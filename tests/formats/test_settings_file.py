@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from jaxmocap import Settings
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.settings_file import listed, read_settings
+from jaxmocap.formats.settings_file import list_fields, read_settings
 from jaxmocap.outputs.report import plain
 
 
@@ -100,7 +100,7 @@ def test_what_is_wrong_is_said_in_a_sentence(read, text, problem):
 
 
 def test_the_list_has_every_field_with_what_it_means():
-    text = listed(Settings())
+    text = list_fields(Settings())
     for name, (field, _) in FIELDS.items():
         assert f"\n{name.split('.')[-1]} = " in f"\n{text}"
         assert " ".join(field.metadata["meaning"].split()[:3]) in text.replace("\n    # ", " ")
@@ -108,7 +108,7 @@ def test_the_list_has_every_field_with_what_it_means():
 
 def test_the_list_is_a_settings_file_that_changes_nothing(read):
     """So a user may copy it and change a line."""
-    assert plain(read(listed(Settings()))) == plain(Settings())
+    assert plain(read(list_fields(Settings()))) == plain(Settings())
 
 
 @pytest.mark.parametrize("refine", ["simplex", "gradient"])

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.geometry.euler import FREE, continuous_euler, eased_near_lock
+from jaxmocap.geometry.euler import FREE, continuous_euler, ease_near_lock
 
 # OpenSim's shoulder: flexion, adduction, rotation.
 SHOULDER = ((-90, 90), (-120, 90), (-90, 90))
@@ -102,7 +102,7 @@ def test_an_arm_that_passes_lock_three_degrees_aside_steps_by_sixty_at_most(orde
     swing = Rotation.from_rotvec(np.radians(np.arange(-80, 80, 4.1))[:, None] * middle)
     R = (swing * aside * Rotation.from_rotvec(lock * middle)).as_matrix()
     angles = continuous_euler(R[:, None], order)
-    eased = eased_near_lock(angles.copy(), order)[:, 0]
+    eased = ease_near_lock(angles.copy(), order)[:, 0]
     assert np.degrees(np.abs(np.diff(angles[:, 0], axis=0))).max() > 60
     assert np.degrees(np.abs(np.diff(eased, axis=0))).max() < 60
     error = np.degrees(

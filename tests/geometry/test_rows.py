@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxmocap.geometry.rows import ComputedRows, GatheredRows, mapped, row_blocks, taken
+from jaxmocap.geometry.rows import ComputedRows, GatheredRows, map_rows, row_blocks, take_rows
 
 NUMBERS = np.arange(20.0).reshape(10, 2)
 
@@ -16,12 +16,12 @@ def squares():
 @pytest.mark.parametrize("rows", [slice(None), slice(3, 5), np.array([7, 1]), NUMBERS[:, 0] > 9, 4])
 def test_computed_rows_are_those_of_the_array(squares, rows):
     np.testing.assert_array_equal(squares[rows], (NUMBERS**2)[rows])
-    np.testing.assert_array_equal(mapped(squares, np.sqrt)[rows], NUMBERS[rows])
+    np.testing.assert_array_equal(map_rows(squares, np.sqrt)[rows], NUMBERS[rows])
 
 
 def test_rows_are_taken_in_any_order(squares):
     order = np.array([9, 0, 0, 3])
-    found = taken(squares, order)
+    found = take_rows(squares, order)
     assert found.shape == (4, 2)
     np.testing.assert_array_equal(found[1:], (NUMBERS**2)[order][1:])
 

@@ -80,7 +80,7 @@ class Refined(NamedTuple):
 
 @jax.jit
 def _refined(chosen, cameras, fields, start, goals, elbows, centre):
-    edges = chosen.edges.weighted(replace(MODEL, cameras=cameras), fields, start)
+    edges = chosen.edges.weigh(replace(MODEL, cameras=cameras), fields, start)
     aims = Aims(goals, elbows, centre, FREE)
     return Refined(*refine_body(replace(MODEL, cameras=cameras), chosen, edges, start, aims))
 

@@ -39,7 +39,7 @@ from jaxmocap.geometry.cameras import project
 from jaxmocap.hybrid.fit import refine_arms
 from jaxmocap.hybrid.observe import arm_regions
 from jaxmocap.hybrid.settings import Settings, SimplexSettings
-from jaxmocap.images.edges import EdgeSettings, Thresholds, equalised, to_grey
+from jaxmocap.images.edges import EdgeSettings, Thresholds, equalise_levels, to_grey
 from jaxmocap.images.regions import to_region
 from jaxmocap.reference.hybrid import pipeline as reference
 
@@ -162,7 +162,7 @@ def test_an_image_is_equalised_whole_before_its_regions_are_cut():
     both = {}
     for equalise, image in {
         "image": picture,
-        "none": equalised(to_grey(picture), detection, Thresholds())[0],
+        "none": equalise_levels(to_grey(picture), detection, Thresholds())[0],
         "region": picture,
     }.items():
         chosen = Settings(region=SIZE, edge_detection=replace(detection, equalise=equalise))

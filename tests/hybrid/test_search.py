@@ -52,7 +52,7 @@ def step(cameras, fields, arms, belief):
 
 @jax.jit
 def elbows_of(arms, turn):
-    return elbow_search.believed_elbows(arms, turn)
+    return elbow_search.expected_elbows(arms, turn)
 
 
 @jax.jit
@@ -133,17 +133,17 @@ def test_over_some_frames_the_search_is_the_references_in_double_precision():
             arms = arms_at(on_device(pose))
             waiting = belief._replace(age=jnp.asarray(time - before))
             belief = filtered(chosen, cameras, in_double(fields), arms, waiting)
-            elbows = elbow_search.believed_elbows(arms, belief.turn)
+            elbows = elbow_search.expected_elbows(arms, belief.turn)
         for i, side in enumerate("lr"):
             distances = np.asarray(fields.distances, float)[0, i]
             view = reference.EdgeView(camera, origin[i], scale[i], distances)
             arm = reference.arm_of(BODY, pose, GRIPS_64, side)
-            expected = reference.filtered(small, view, arm, weights[i], time - before)
+            expected = reference.filter_weights(small, view, arm, weights[i], time - before)
             weights[i] = expected.log_weights
             np.testing.assert_allclose(belief.log_weights[i], weights[i], rtol=1e-7, atol=1e-7)
             np.testing.assert_allclose(belief.turn[i], expected.turn, atol=1e-8)
             assert belief.deviation[i] == pytest.approx(expected.deviation, rel=1e-6)
-            elbow = reference.turned(arm, expected.turn)[0][1]
+            elbow = reference.turn_forearm(arm, expected.turn)[0][1]
             np.testing.assert_allclose(elbows[i], elbow, atol=1e-8)
 
 

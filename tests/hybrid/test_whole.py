@@ -26,7 +26,7 @@ from jaxmocap.hybrid.step import EVENTS, SOLVE, EventFields, solve_events
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.tracking.events import RecordingEvents
-from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
+from jaxmocap.pipelines.tracking.first_pass import scan_events, step_events
 
 # The frame that cannot be read.
 UNREAD = 5
@@ -58,9 +58,9 @@ def both_ways(recording, tracker):
         return actual, shown
 
     def step_by_step(events, tracker, readers, show, clock):
-        return stepped(events, tracker, readers, None, show, clock)[0]
+        return step_events(events, tracker, readers, None, show, clock)[0]
 
-    return gone_through(scanned), gone_through(step_by_step)
+    return gone_through(scan_events), gone_through(step_by_step)
 
 
 def assert_same(actual, expected):

@@ -16,7 +16,7 @@ from jaxmocap.images.background_model import (
     RunningBackground,
     exposure,
     learn_background,
-    ranked,
+    nth_smallest,
     regained,
 )
 from jaxmocap.images.colours import BINS, Colours, RunningColours, colour_bins, learn_colours
@@ -27,7 +27,7 @@ from jaxmocap.images.foreground import (
     person_grids,
     shrink,
     shrunk_size,
-    weighed,
+    weigh_odds,
 )
 from jaxmocap.images.regions import crop
 from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
@@ -88,7 +88,7 @@ def test_the_value_of_a_rank_is_that_of_sorting(seed, count):
     values = rng.integers(0, 256, (count, 3, 5, 3), dtype=np.uint8)
     rank = rng.integers(0, count, (3, 5, 1))
     expected = np.take_along_axis(np.sort(values, 0), rank[None], 0)[0]
-    np.testing.assert_array_equal(ranked(values, rank), expected)
+    np.testing.assert_array_equal(nth_smallest(values, rank), expected)
 
 
 def test_the_background_is_the_masked_median_with_its_noise():
@@ -290,7 +290,7 @@ def test_a_background_is_asked_for_after_the_first_frame():
 
 
 def person_grid(odds: np.ndarray, *place, **options) -> tuple[np.ndarray, np.ndarray]:
-    layers = weighed(odds)
+    layers = weigh_odds(odds)
     return person_grids((layers, layers), *place, **options)[0]
 
 

@@ -87,25 +87,28 @@ def test_equalising_is_opencvs():
     rng = np.random.default_rng(1)
     grey = np.clip(rng.normal(90, 20, (SIZE, SIZE)), 0, 255).astype(np.uint8)
     settings = EdgeSettings(equalise="image", blur_first=False)
-    actual, _ = edges.equalised(grey, settings, Thresholds())
+    actual, _ = edges.equalise_levels(grey, settings, Thresholds())
     assert np.abs(actual.astype(int) - cv2.equalizeHist(grey)).max() <= 1
     first = replace(settings, blur_first=True, blur=1.5)
     expected = cv2.equalizeHist(cv2.GaussianBlur(grey, (0, 0), 1.5))
-    assert np.abs(edges.equalised(grey, first, Thresholds())[0].astype(int) - expected).max() <= 1
+    assert (
+        np.abs(edges.equalise_levels(grey, first, Thresholds())[0].astype(int) - expected).max()
+        <= 1
+    )
     plain = np.full((SIZE, SIZE), 77, np.uint8)
-    np.testing.assert_array_equal(edges.equalised(plain, settings, Thresholds())[0], plain)
+    np.testing.assert_array_equal(edges.equalise_levels(plain, settings, Thresholds())[0], plain)
 
 
 def test_a_recording_is_equalised_by_its_first_frame_where_that_is_remembered():
     """So the same grey stays the same, whatever else comes into the picture."""
     settings = EdgeSettings(blur=0.0, equalise="image", memory=1.0)
     room = bar(90)
-    once, after = edges.equalised(room, settings, Thresholds())
+    once, after = edges.equalise_levels(room, settings, Thresholds())
     crowded = room.copy()
     crowded[:, :20] = 255
-    again, _ = edges.equalised(crowded, settings, after)
+    again, _ = edges.equalise_levels(crowded, settings, after)
     np.testing.assert_array_equal(again[:, 20:], once[:, 20:])
-    fresh, _ = edges.equalised(crowded, replace(settings, memory=0.0), after)
+    fresh, _ = edges.equalise_levels(crowded, replace(settings, memory=0.0), after)
     assert (fresh[:, 20:] != once[:, 20:]).any()
 
 

@@ -7,7 +7,7 @@ import pytest
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.canvases import full_mask
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.segmentation.sharpen import sharpened_silhouette
+from jaxmocap.silhouette.segmentation.sharpen import sharpen_silhouette
 
 SIZE = 64
 Y, X = np.mgrid[:SIZE, :SIZE].astype(np.float32)
@@ -37,7 +37,7 @@ def test_pixels_correct_a_contour_that_is_some_pixels_off(learned, larger):
     middle = (np.array([110.3, 90.6]) + 0.5) / 2.5 - np.array([29.5, 19.5]) / 2.5 - 0.5
     off = np.clip(50.2 / 2.5 + 0.8 * np.cos(3 * np.arctan2(Y - middle[1], X - middle[0]))
                   - np.hypot(X - middle[0], Y - middle[1]), -8, 8).astype(np.float32)  # fmt: skip
-    actual = sharpened_silhouette(np.clip(image, 0, 255).astype(np.uint8), off, region, behind)
+    actual = sharpen_silhouette(np.clip(image, 0, 255).astype(np.uint8), off, region, behind)
     before = full_mask(off, region, truth.shape)
     assert overlap(before, truth) < 0.96
     assert overlap(actual.full(truth.shape), truth) > 0.985
@@ -62,7 +62,7 @@ def test_a_contour_is_found_to_a_pixel_in_a_video_whose_colours_are_stored_coars
     background = Background(room.astype(np.float32), *np.float32([3 + 0 * x, 1 + 0 * x]))
     region = Region(np.array([29.5, 19.5], np.float32), np.array(2.5, np.float32))
     start = circle(31.62, 27.74, 20.68)
-    actual = sharpened_silhouette(image, start, region, background).full(truth.shape)
+    actual = sharpen_silhouette(image, start, region, background).full(truth.shape)
     assert overlap(full_mask(start, region, truth.shape), truth) < 0.94
     assert overlap(actual, truth) > 0.974
 
@@ -71,5 +71,5 @@ def test_nothing_and_what_lies_beyond_the_image_has_no_pixels():
     image = np.full((40, 60, 3), 90, np.uint8)
     region = Region(np.array([-200.5, -0.5], np.float32), np.array(1, np.float32))
     for phi in (np.full((SIZE, SIZE), -8, np.float32), circle(31.0, 30.0, 15.0)):
-        patch = sharpened_silhouette(image, phi, region)
+        patch = sharpen_silhouette(image, phi, region)
         assert not patch.full((40, 60)).any() and (patch.phi(region, SIZE) < 0).all()

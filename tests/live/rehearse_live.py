@@ -113,7 +113,7 @@ def play(recording: Path, port: int, begin: float, log: Path) -> None:
         jump = 1.0 if now >= FAULTS["clock jump of 1 s"][0] else 0.0
         placed = np.hstack([points[index], turns])
         packet = (one_hand, placed[:2]) if lost else (both_hands, placed)
-        sender.sendto(packet[0].filled(now + jump, packet[1]), ("127.0.0.1", port))
+        sender.sendto(packet[0].fill(now + jump, packet[1]), ("127.0.0.1", port))
         at = time.monotonic() - began
         print(at, *points[index].ravel().tolist(), file=informed_at)
         fast = FAULTS["5 times the packets"][0] <= now < FAULTS["5 times the packets"][1]

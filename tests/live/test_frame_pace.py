@@ -17,7 +17,7 @@ def run(seconds_a_frame: float, seconds_between: float = 0.0) -> tuple[list[floa
             pace.took_frame(now)
             taken.append(now)
             work += seconds_a_frame
-        pace.spent(work, now + work - began)
+        pace.count_work(work, now + work - began)
         now, worked = now + work, worked + work
     return taken, worked / now
 

@@ -36,7 +36,7 @@ from jaxmocap.outputs.senders.vmc import DEFAULT_SEND, VmcTable
 from jaxmocap.outputs.senders.vrchat import VrchatTable
 from jaxmocap.pipelines.live.loop import Live
 from jaxmocap.pipelines.live.recording import LiveRecording
-from jaxmocap.pipelines.live.session import live_summary, stopped_by_signals
+from jaxmocap.pipelines.live.session import live_summary, stop_on_signals
 from jaxmocap.pipelines.live.setup import LiveSetup, load_live
 from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.tracking import Output
@@ -103,7 +103,7 @@ def packets_of(names):
     """Places (M, 3) in the world -> the packet that brings the markers there, unturned."""
     bundle = Bundle([("/VMC/Ext/Tra/Pos", [name, *[0.0] * 7]) for name in names])
     turns = np.tile([0.0, 0, 0, 1], (len(names), 1))
-    return lambda points: bundle.filled(np.hstack([to_unity(points), turns]))
+    return lambda points: bundle.fill(np.hstack([to_unity(points), turns]))
 
 
 # The file ----------------------------------------------------------------------------------------
@@ -330,7 +330,7 @@ def test_markers_in_poses_out_and_a_recording_until_ctrl_c(tmp_path, monkeypatch
     listener = threading.Thread(target=listen, daemon=True)
     listener.start()
     player = threading.Thread(target=play)
-    with stopped_by_signals() as stop:
+    with stop_on_signals() as stop:
         player.start()
         figures = live.run(seconds=30.0, stop=stop)
     player.join()

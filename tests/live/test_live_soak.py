@@ -74,7 +74,7 @@ class Run:
         """One sample, now and then what is wrong; seconds that its pose took."""
         self.at = i / RATE
         sway = 0.05 * np.sin(self.at + np.arange(9).reshape(3, 3)) + self.still
-        content = self.packet.filled(self.at, np.hstack([sway, np.tile([0.0, 0, 0, 1], (3, 1))]))
+        content = self.packet.fill(self.at, np.hstack([sway, np.tile([0.0, 0, 0, 1], (3, 1))]))
         packets = [Datagram(self.at, content, "127.0.0.1", 5000)]
         if i % 10 == 0:
             packets += self.trouble(i)

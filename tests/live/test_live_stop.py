@@ -34,9 +34,9 @@ from jaxmocap.outputs.senders.osc import Bundle
 from jaxmocap.pipelines import view
 from jaxmocap.pipelines.live import session
 from jaxmocap.pipelines.live.loop import Live
-from jaxmocap.pipelines.live.session import live_summary, run_live, stopped_by_signals
+from jaxmocap.pipelines.live.session import live_summary, run_live, stop_on_signals
 from jaxmocap.pipelines.live.status import LiveStatus
-from jaxmocap.pipelines.signals import Terminated, raised_on_sigterm, signals_deferred
+from jaxmocap.pipelines.signals import Terminated, raise_on_sigterm, signals_deferred
 
 posix = pytest.mark.skipif(
     os.name != "posix", reason="it sends signals, which this system lacks: Linux or macOS has them"
@@ -56,7 +56,7 @@ def threads() -> list[str]:
 
 def bundle_of_markers() -> bytes:
     bundle = Bundle([("/VMC/Ext/Tra/Pos", [name, *[0.0] * 7]) for name in PLACES])
-    return bundle.filled(np.tile([0.1, 1.0, 0.2, 0, 0, 0, 1], (len(PLACES), 1)))
+    return bundle.fill(np.tile([0.1, 1.0, 0.2, 0, 0, 0, 1], (len(PLACES), 1)))
 
 
 def send_markers(address: Address, stop: threading.Event) -> None:
@@ -121,7 +121,7 @@ def test_signals_that_are_ignored_stay_so_and_all_handlers_come_back():
     before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
     ignored = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with stopped_by_signals() as stop:
+        with stop_on_signals() as stop:
             os.kill(os.getpid(), signal.SIGHUP)
             time.sleep(0.05)
             assert not stop.is_set()
@@ -135,7 +135,7 @@ def test_signals_that_are_ignored_stay_so_and_all_handlers_come_back():
 @posix
 def test_a_signal_waits_until_what_was_begun_can_be_ended():
     done = []
-    with pytest.raises(Terminated), raised_on_sigterm():
+    with pytest.raises(Terminated), raise_on_sigterm():
         with signals_deferred():
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(0.05)
@@ -156,7 +156,7 @@ def test_a_signal_within_an_import_waits_until_it_is_done(
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "imported_whole", raising=False)
     before, done = signal.getsignal(number), []
-    with pytest.raises(raised), raised_on_sigterm():
+    with pytest.raises(raised), raise_on_sigterm():
         done.append(importlib.import_module("imported_whole"))
         time.sleep(then_s)
         done.append("slept")
@@ -167,7 +167,7 @@ def test_a_run_outside_the_main_thread_has_no_signals():
     actual = []
 
     def run() -> None:
-        with stopped_by_signals() as stop:
+        with stop_on_signals() as stop:
             actual.append(stop.is_set())
 
     thread = threading.Thread(target=run)

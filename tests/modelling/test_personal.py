@@ -15,7 +15,7 @@ from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.pipelines.silhouettes.person import with_model
-from jaxmocap.silhouette.modelling.arm_joints import ArmPixels, lifted_arms
+from jaxmocap.silhouette.modelling.arm_joints import ArmPixels, lift_arms
 from jaxmocap.silhouette.modelling.arm_surface import (
     ArmBones,
     arm_rings,
@@ -276,7 +276,7 @@ def test_lifted_arms_and_thighs_are_found_where_they_are_drawn():
     bottom = front.pixels(np.array([0.0, 0.0, 0.9]))
     marks = FrontLandmarks(0, 0, 0.0, pit, round(bottom[1]), float(bottom[0]))
     bent = (down, down._replace(**{k: mirrored(v) for k, v in down._asdict().items()}))
-    for actual, true in zip(lifted_arms(front, marks, bent), bent, strict=True):
+    for actual, true in zip(lift_arms(front, marks, bent), bent, strict=True):
         for name in ("elbow", "wrist"):
             np.testing.assert_allclose(getattr(actual, name), getattr(true, name), atol=0.012)
     thighs = find_thighs(front, side, marks, np.array([0.0, 0.0, 1.0]))

@@ -16,9 +16,9 @@ from jaxmocap.silhouette.modelling.pictures.medial_axis import rim_distance
 from jaxmocap.silhouette.modelling.pictures.views import PhotographView
 from jaxmocap.silhouette.modelling.texture.avatar import Avatar, avatar_of
 from jaxmocap.silhouette.modelling.texture.fusion import (
-    closed_holes,
+    blend_colours,
+    close_holes,
     feathered_weight,
-    fused,
     gains,
     weighted_blur,
     wide_blend,
@@ -26,7 +26,7 @@ from jaxmocap.silhouette.modelling.texture.fusion import (
 from jaxmocap.silhouette.modelling.texture.texels import (
     NONE,
     nearest_points,
-    splatted,
+    splat_points,
     texels_of,
     visible_points,
 )
@@ -82,7 +82,7 @@ def rendered(
     front = np.sum(towards * texels.normals, 1) > 0
     colours = avatar.picture[texels.rows, texels.columns]
     depths, pixels = np.linalg.norm(towards, axis=1), view.pixels(texels.points)
-    return splatted(pixels[front], depths[front], colours[front], shape)
+    return splat_points(pixels[front], depths[front], colours[front], shape)
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +155,7 @@ def test_another_wall_behind_the_person_is_not_taken_for_exposure():
 @settings(max_examples=30, deadline=None)
 @given(st.floats(0.02, 1), st.floats(0.02, 1))
 def test_a_blend_lies_between_its_pictures_and_nearer_to_the_one_that_counts_more(first, second):
-    blend, weight = fused(
+    blend, weight = blend_colours(
         [np.zeros((1, 3)), np.ones((1, 3))], [np.array([first]), np.array([second])]
     )
     assert weight[0] == max(first, second)
@@ -185,14 +185,14 @@ def test_holes_are_filled_from_aside_and_across_the_seam():
     picture[:30], picture[30:] = 50, 200
     valid = np.ones((60, 96), bool)
     valid[:, :20] = valid[:, -20:] = False
-    filled = closed_holes(np.where(valid[..., None], picture, 0), valid)
+    filled = close_holes(np.where(valid[..., None], picture, 0), valid)
     assert (filled[valid] == picture[valid]).all()
     assert np.abs(filled - picture)[np.r_[:22, 38:60]].max() < 25
 
 
 def test_a_picture_without_valid_places_stays():
     picture = np.full((8, 9, 3), 7.0)
-    assert (closed_holes(picture, np.zeros((8, 9), bool)) == 7).all()
+    assert (close_holes(picture, np.zeros((8, 9), bool)) == 7).all()
 
 
 def test_the_nearest_point_of_a_cell_is_kept_and_what_lies_behind_is_hidden():
@@ -214,7 +214,9 @@ def test_single_open_cells_of_a_picture_are_closed_and_wide_ones_are_not():
     rows, columns = np.divmod(np.arange(100), 10)
     there = ((rows != 5) | (columns != 5)) & (columns < 8)
     cells = np.stack([columns, rows], 1)[there].astype(float)
-    picture, shown = splatted(cells, np.ones(len(cells)), np.full((len(cells), 3), 40), (10, 10))
+    picture, shown = splat_points(
+        cells, np.ones(len(cells)), np.full((len(cells), 3), 40), (10, 10)
+    )
     assert shown[5, 5] and (picture[5, 5] == 40).all() and not shown[:, 9].any()
 
 

@@ -69,7 +69,7 @@ def test_a_frame_of_vmc_is_what_its_receivers_ask_for():
         *("Hips", "Spine", "Chest", "UpperChest", "Neck", "Head"),
         *(f"{side}{bone}" for side in ("Left", "Right") for bone in sides),
     }
-    assert [m.params for m in messages_of(vmc.lost(3.0))] == [[1, 3, 0, 0], [3.0]]
+    assert [m.params for m in messages_of(vmc.lost_messages(3.0))] == [[1, 3, 0, 0], [3.0]]
 
 
 def test_vmc_states_how_sure_the_elbows_are():
@@ -80,7 +80,7 @@ def test_vmc_states_how_sure_the_elbows_are():
 
 def test_a_bundle_is_filled_without_changing_its_texts():
     bundle = Bundle([("/a", ["name", 7, 1.0]), ("/b", [3.0, 4.0])])
-    messages = [t.message for t in OscPacket(bundle.filled(0.5, np.array([1.5, 2.5]))).messages]
+    messages = [t.message for t in OscPacket(bundle.fill(0.5, np.array([1.5, 2.5]))).messages]
     assert [(m.address, m.params) for m in messages] == [
         ("/a", ["name", 7, 0.5]),
         ("/b", [1.5, 2.5]),

@@ -20,7 +20,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.surfaces.cones import with_thickness
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.mesh import atlas_of, coarser, mesh_of
-from jaxmocap.body.surfaces.surface import bones_over_time, nodes_over_time, posed, rest_nodes
+from jaxmocap.body.surfaces.surface import bones_over_time, nodes_over_time, pose_points, rest_nodes
 from jaxmocap.capture.photographs import png_of
 from jaxmocap.formats.animation.export import write_animation, write_avatar
 from jaxmocap.formats.armatures.skin import TEXEL_M
@@ -64,7 +64,7 @@ def traced_nodes(surface, key: int) -> np.ndarray:
     """(N, 3) of the moving body at a sample, world."""
     motion = moving_body()
     pose = Pose(*(jnp.asarray(np.asarray(part)[key], jnp.float32) for part in motion.poses))
-    return np.asarray(posed(PLACE(motion.skeleton, pose), surface.points))
+    return np.asarray(pose_points(PLACE(motion.skeleton, pose), surface.points))
 
 
 @pytest.mark.parametrize("key", [0, 37])

@@ -18,7 +18,7 @@ from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoints import read_keypoints
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.images.crops import cropped
+from jaxmocap.images.crops import crop_image
 from jaxmocap.pipelines.keypoints.by_mediapipe import mediapipe_detector
 from jaxmocap.pipelines.keypoints.by_onnx import onnx_detector
 
@@ -279,7 +279,7 @@ def test_another_network_is_refused(tmp_path, recording, capsys):
 def test_a_crop_holds_its_box_about_its_middle(box, size):
     left, top, width, height = box
     edges = np.array([left, top, left + width, top + height])
-    crop = cropped(np.zeros((60, 80, 3), np.uint8), edges, size)
+    crop = crop_image(np.zeros((60, 80, 3), np.uint8), edges, size)
     assert crop.image.shape == (size[1], size[0], 3)
     ends = crop.pixels_of(np.array([[-0.5, -0.5], [size[0] - 0.5, size[1] - 0.5]]))
     assert (ends[0] <= edges[:2] + 1e-6).all() and (ends[1] >= edges[2:] - 1e-6).all()

@@ -31,7 +31,7 @@ from jaxmocap.formats.recordings.filters import Filters
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.tables import Markers
-from jaxmocap.geometry.cameras import turned
+from jaxmocap.geometry.cameras import turn_camera
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import EVENTS
 from jaxmocap.hybrid.tracker import HybridTracker
@@ -477,7 +477,7 @@ def test_the_overlay_is_drawn_by_the_camera_as_it_was_found(written, tracked, tm
 
     turn, recording = [0.0, 5.0, 0.0], small_recording()
     (source,) = recording.videos
-    away = turned(source.camera, jnp.radians(jnp.array(turn)))
+    away = turn_camera(source.camera, jnp.radians(jnp.array(turn)))
     elsewhere = replace(recording, videos=(replace(source, camera=away),))
     write_outputs(with_turns({"cam": turn}), recording, tmp_path / "found")
     write_outputs(with_turns({}), elsewhere, tmp_path / "calibrated")

@@ -211,7 +211,7 @@ def test_the_demo_states_whose_body_its_person_has(tmp_path, monkeypatch):
         upper_arms.extend([found, np.linalg.norm(points["elbow_l"][0] - points["shoulder_l"][0])])
         raise RecordedError
 
-    monkeypatch.setattr(demo, "tracked_from_truth", compare)
+    monkeypatch.setattr(demo, "track_from_truth", compare)
     with pytest.raises(RecordedError):
         demo.demonstrate_silhouettes(tmp_path, seconds=0.04)
     found, true = upper_arms

@@ -48,7 +48,7 @@ def walker(found: bool = True) -> Detector:
         if not found:
             return None
         moved = points + np.array([next(frames), 0.0, 0.0])
-        pixels = np.asarray(project(PLACE.placed(LENS), jnp.asarray(moved, float)))
+        pixels = np.asarray(project(PLACE.stand_camera(LENS), jnp.asarray(moved, float)))
         marks = [LANDMARK_OF.get(name) for name in MODELS["COCO_17"]]
         rows = [pixels[LANDMARKS.index(mark)] if mark else pixels[0] for mark in marks]
         return np.column_stack([rows, np.ones(len(rows))])

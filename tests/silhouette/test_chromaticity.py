@@ -58,7 +58,7 @@ def test_a_chromaticity_is_learned_where_it_is_visible_and_brightness_ignored():
     )
     shades = np.stack([SKIN, SKIN // 2, SHIRT])[None].repeat(2, 0)
     for _ in range(3):
-        appearance = appearance.updated(chromaticity(shades), visible)
+        appearance = appearance.update(chromaticity(shades), visible)
     np.testing.assert_array_equal(appearance.frames, [3, 3, 0])
     np.testing.assert_allclose(
         appearance.chromaticities[:2], np.stack([SKIN / SKIN.sum()] * 2), atol=0.01

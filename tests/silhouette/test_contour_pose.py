@@ -35,7 +35,7 @@ from jaxmocap.solvers.status import Status
 
 USUAL, WHOLE = ContourPoseSettings(), ContourPoseSettings(harmonics=())
 CAMERAS = [camera_at(0.8 * k) for k in range(4)]
-LINEARISED = jax.jit(contour_step.linearised)
+LINEARISED = jax.jit(contour_step.linearise_pairs)
 NEAREST, INCIDENCE = jax.jit(contour_step.nearest_points), jax.jit(incidence)
 ALL_COUNT = USUAL._replace(reach=np.inf)
 OFF = jax.jit(jax.vmap(lambda lines, x, xi: incidence(lines, twists.move(twists.exp(xi), x)),

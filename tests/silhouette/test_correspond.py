@@ -14,18 +14,18 @@ from jaxmocap.silhouette.fit.correspond import (
     ALONG_WEIGHT,
     Contour,
     ContourPairs,
-    matched_pairs,
+    match_pairs,
     pairs_of,
 )
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose
-from jaxmocap.silhouette.surfaces.index_image import traced_boundary
+from jaxmocap.silhouette.surfaces.index_image import trace_boundary
 
 PAIRS, SOLVE = jax.jit(pairs_of), jax.jit(solve_pose)
 
 
 def contour_of(phi: np.ndarray, origin: np.ndarray, scale: float) -> Contour:
     """The zero line of a level set (S, S), cells, to a fraction of a cell."""
-    cells, normals = traced_boundary((phi > 0).astype(np.uint8))
+    cells, normals = trace_boundary((phi > 0).astype(np.uint8))
     x, y = cells.T
     # The traced cells are the last within; the line lies beyond them by what phi says.
     slope_x, slope_y = (phi[y, x + 1] - phi[y, x - 1]) / 2, (phi[y + 1, x] - phi[y - 1, x]) / 2
@@ -65,10 +65,10 @@ def test_a_discs_contour_is_found_to_a_tenth_of_a_cell():
 def test_nothing_seen_matches_nothing(finder):  # noqa: F811
     rim = finder.find(finder.initial_shape, bent(), CAMERAS)
     phi = np.full((4, SETTINGS.size, SETTINGS.size), -5.0, np.float32)
-    none = matched_pairs(rim, contours(phi, rim.region))
+    none = match_pairs(rim, contours(phi, rim.region))
     assert not none.valid.any()
     phi[0, 20:100, 50:70] = 5.0
-    some = matched_pairs(rim, contours(phi, rim.region))
+    some = match_pairs(rim, contours(phi, rim.region))
     assert some.nodes.shape == none.nodes.shape
     assert some.valid[0].any() and not some.valid[1:].any()
 
@@ -78,7 +78,7 @@ def test_pairs_face_the_same_way_and_are_near(finder):  # noqa: F811
     start = retract(truth, jnp.full(BODY.costs.shape, 0.02))
     rim = finder.find(finder.initial_shape, start, CAMERAS)
     phi = np.stack([level_set(finder, truth, c, rim.region) for c in range(4)])
-    pairs = matched_pairs(rim, contours(phi, rim.region))
+    pairs = match_pairs(rim, contours(phi, rim.region))
     assert pairs.valid.mean() > 0.7
     assert pairs.distances[pairs.valid].max() < 40 * rim.region.scale.max()
     assert np.median(pairs.distances[pairs.valid]) < 15
@@ -99,7 +99,7 @@ def test_a_pose_is_found_from_four_silhouettes(finder, degrees):  # noqa: F811
     phi = np.stack([level_set(finder, truth, c, region) for c in range(4)])
     outlines = contours(phi, region)
     for _ in range(10):
-        actual = matched_pairs(finder.find(finder.initial_shape, pose, CAMERAS), outlines)
+        actual = match_pairs(finder.find(finder.initial_shape, pose, CAMERAS), outlines)
         weights = jnp.asarray(actual.valid, jnp.float32)
         points = finder.initial_shape.points(actual.nodes)
         pairs = (points, actual.pixels_xy, actual.normals, weights, None, ALONG_WEIGHT)

@@ -13,7 +13,7 @@ from jaxmocap.silhouette.fit.cycles import combined_prior
 from jaxmocap.silhouette.segmentation.inner_edges import (
     colour_boundary,
     colour_profiles,
-    concatenated,
+    concatenate_pairs,
     inner_edge_pairs,
 )
 from jaxmocap.silhouette.surfaces.rim import Rim
@@ -91,7 +91,7 @@ def test_a_boundary_lies_between_the_last_sample_of_one_colour_and_the_first_of_
 
 def test_edges_are_further_pairs():
     edges = edges_of(picture(SKIN, SHIRT, 40), 40)
-    both = concatenated(edges, edges)
+    both = concatenate_pairs(edges, edges)
     assert both.valid.shape == (1, 2 * len(ROWS)) and both.pixels_xy.dtype == np.float32
     np.testing.assert_array_equal(both.nodes[:, len(ROWS) :], edges.nodes)
 

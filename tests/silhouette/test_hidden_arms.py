@@ -13,7 +13,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.surfaces.loft import generic_surface
-from jaxmocap.body.surfaces.surface import posed
+from jaxmocap.body.surfaces.surface import pose_points
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.silhouette.first_pose import landmark_points
 from jaxmocap.silhouette.fit.cycles import fit
@@ -172,7 +172,7 @@ def test_an_arm_that_was_learned_as_background_is_not_better_off_unseen(tracker,
     recovery = tracker.body.recovery
     left = recovery.names.index("arm_l")
     projected = projected_over(tracker, state, ASIDE, dressed(tracker, ASIDE))
-    arms = projected.covered(np.any(recovery.evidence.nodes[:4], 0))
+    arms = projected.covered_cells(np.any(recovery.evidence.nodes[:4], 0))
     log_ratios = np.where(arms, np.float32(-2), projected.log_ratios)
     learned = projected._replace(log_ratios=log_ratios)
     proposal, after = recovery.propose(state.limbs, learned)
@@ -211,7 +211,7 @@ def test_an_arm_can_touch_the_trunk_and_not_be_within_it(pose, low, high):
 
     @jax.jit
     def share(pose: Pose):
-        others = Obstacles.of(posed(forward(BODY, pose), around))
+        others = Obstacles.of(pose_points(forward(BODY, pose), around))
         return penetrating_share(*bone_ends(BODY, pose, limb), jnp.asarray(limb.radii), others)
 
     assert low <= float(share(pose)) <= high

@@ -17,7 +17,7 @@ from jaxmocap.silhouette.keypoint_poses import (
     KeypointPoseSettings,
     measurements,
     poses_of_lines,
-    weighed_by_scatter,
+    weigh_by_scatter,
 )
 from jaxmocap.smoothing.elbow_viterbi import cheapest_path
 from jaxmocap.synthetic.drawing_camera import look_at
@@ -127,7 +127,7 @@ def test_a_landmark_that_scatters_counts_less(truth):
     moved = truth.copy()
     wrist = LANDMARKS.index("wrist_l")
     moved[:, wrist, 2] += 0.06
-    after = np.asarray(weighed_by_scatter(moved, lines, 0.015).confidences)[:, 0]
+    after = np.asarray(weigh_by_scatter(moved, lines, 0.015).confidences)[:, 0]
     others = [row for row in landmark_rows(NAMES) if row != wrist]
     np.testing.assert_allclose(after[:, others], 0.8)
     assert 0.15 < after[0, wrist] < 0.35 and after[0, LANDMARKS.index("vertex")] == 0

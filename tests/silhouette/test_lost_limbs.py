@@ -247,13 +247,13 @@ def test_torn_black_and_exchanged_frames_are_passed_over_until_patience_ends():
     walked[100:300, 200:260] = 0
     history = ImageHistory.empty(1)
     for image, accepted in ((room, True), (walked, True), (room, True), (other, False)):
-        kept, history = history.accepted([image], SMALL.changed_share, 3)
+        kept, history = history.accept([image], SMALL.changed_share, 3)
         assert (kept[0] is not None) == accepted
     torn = np.concatenate([room[:150], np.roll(room[150:], 200, 1)])
     for image, accepted in ((torn, False), (np.zeros_like(room), False), (other, True)):
-        kept, history = history.accepted([image], SMALL.changed_share, 3)
+        kept, history = history.accept([image], SMALL.changed_share, 3)
         assert (kept[0] is not None) == accepted
-    assert history.accepted([None], 0.25, 3)[0] == [None]
+    assert history.accept([None], 0.25, 3)[0] == [None]
 
 
 def test_a_box_before_a_part_is_recognised_by_its_colour_and_shade_is_not():
@@ -264,13 +264,13 @@ def test_a_box_before_a_part_is_recognised_by_its_colour_and_shade_is_not():
     appearance = PartAppearance.empty(1, 3)
     for frame in range(YOUNGEST):
         darker = np.uint8(image * (1 - 0.1 * frame))
-        other, appearance = appearance.compared(3 * [darker], pixels, parts)
+        other, appearance = appearance.compare(3 * [darker], pixels, parts)
         assert not other.any()
     box = image.copy()
     box[8:22, 8:22] = 200
-    assert not appearance.compared(3 * [image], pixels, parts)[0].any()
+    assert not appearance.compare(3 * [image], pixels, parts)[0].any()
     # One of three cameras is not enough.
-    assert not appearance.compared([box, image, image], pixels, parts)[0].any()
-    hidden, after = appearance.compared([box, box, image], pixels, parts)
+    assert not appearance.compare([box, image, image], pixels, parts)[0].any()
+    hidden, after = appearance.compare([box, box, image], pixels, parts)
     assert hidden.all() and (after.mean[:, :2] == appearance.mean[:, :2]).all()
-    assert not appearance.compared(3 * [None], pixels, parts)[0].any()
+    assert not appearance.compare(3 * [None], pixels, parts)[0].any()

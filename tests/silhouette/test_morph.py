@@ -18,11 +18,11 @@ from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import (
     BodyPoints,
     Surface,
-    posed,
-    resampled,
+    pose_points,
+    resample_surface,
     rest_nodes,
+    skin_nodes,
     skin_of,
-    skinned,
 )
 from jaxmocap.geometry.lines import lines_through
 from jaxmocap.silhouette.points import driver_point_jacobian, point_jacobian
@@ -77,7 +77,7 @@ def standing(at) -> Pose:
 def moved_by(body, morph, points, moves, free, step):
     """Where points go with a tangent vector of the free pose."""
     full = m.with_followers(morph, retract(free, step), body)
-    return posed(
+    return pose_points(
         forward(body, full), m.moved_points(points, moves, m.driver_values(morph, full.angles))
     )
 
@@ -203,7 +203,7 @@ def both_ways(skin, pose, frames):
     """Nodes as they are drawn, as they were, and as points on bones."""
     gone = m.moved_points(SURFACE.points, MOVES, m.driver_values(MORPH, pose.angles))
     worn = m.morphed_skin(skin, MORPH, pose.angles)
-    return skinned(frames, worn), skinned(frames, skin), posed(frames, gone)
+    return skin_nodes(frames, worn), skin_nodes(frames, skin), pose_points(frames, gone)
 
 
 def test_the_worn_skin_is_where_its_points_are():
@@ -255,13 +255,13 @@ def test_a_body_goes_over_into_another_as_equation_4_26_says(weighting):
         gone = m.moved_points(SURFACE.points, np.asarray(morph.moves), m.driver_values(morph, at))
         there = interpolated(stouter.points, SURFACE.points, t, weighting)
         frames = FORWARD(BODY, standing(at))
-        np.testing.assert_allclose(posed(frames, gone), posed(frames, there), atol=2e-6)
+        np.testing.assert_allclose(pose_points(frames, gone), pose_points(frames, there), atol=2e-6)
 
 
 def test_only_patches_that_are_named_go_over_and_denser_nodes_as_the_others():
     stouter = generic_surface(BODY, 1.3)
     over = b.Transition(LIFT, stouter, ("arm_l",))
-    dense = resampled(SURFACE, JOINTS, 0.03)
+    dense = resample_surface(SURFACE, JOINTS, 0.03)
     moves = s.transition_offsets(SURFACE, JOINTS, over, 0.03)
     arm = next(patch for patch in dense.patches if patch.name == "arm_l")
     assert len(moves) == len(dense.points.bones)

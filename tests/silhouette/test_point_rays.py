@@ -12,7 +12,7 @@ from point_rays import on_rays
 
 from jaxmocap.body.kinematics import forward, jacobian
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
-from jaxmocap.body.surfaces.surface import BodyPoints, posed
+from jaxmocap.body.surfaces.surface import BodyPoints, pose_points
 from jaxmocap.geometry import twists
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.lines import Lines, camera_lines
@@ -28,7 +28,7 @@ from jaxmocap.solvers.status import Status
 PAIRS = 240
 SOLVE = jax.jit(solve_pose)
 FORWARD, JACOBIAN, LINEARISED = jax.jit(forward), jax.jit(jacobian), jax.jit(linearised_rays)
-POSED, RETRACT, EXP = jax.jit(posed), jax.jit(retract), jax.jit(twists.exp)
+POSED, RETRACT, EXP = jax.jit(pose_points), jax.jit(retract), jax.jit(twists.exp)
 PROJECT, LINES = jax.jit(project), jax.jit(camera_lines)
 PATIENT = PoseSettings(iterations=40)
 WIDE = 1e6
@@ -163,8 +163,8 @@ def test_the_system_is_the_naive_one_without_its_empty_third(skeleton64):
         linearised = LINEARISED(skeleton64, FORWARD(skeleton64, pose), pairs)
         residuals, rows = (np.asarray(part) for part in linearised)
     own = naive_kinematics.forward(skeleton64, pose)
-    np.testing.assert_allclose(naive.posed(own, points), x, atol=1e-12)
-    b, A = naive.linearised(skeleton64, own, pairs)
+    np.testing.assert_allclose(naive.pose_points(own, points), x, atol=1e-12)
+    b, A = naive.linearise_pairs(skeleton64, own, pairs)
     np.testing.assert_allclose((residuals**2).sum(-1), (b**2).sum(-1), atol=1e-12)
     H, slope = (np.einsum("nki,nk...->i...", A, each) for each in (A, b))
     np.testing.assert_allclose(np.einsum("nki,nkj->ij", rows, rows), H, atol=1e-9)

@@ -14,7 +14,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import relaxed_pose, retract
 from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
-from jaxmocap.body.surfaces.surface import posed, skin_of, skinned
+from jaxmocap.body.surfaces.surface import pose_points, skin_nodes, skin_of
 from jaxmocap.geometry.cameras import project, stack_cameras
 from jaxmocap.reference.silhouette import index_image as naive
 from jaxmocap.reference.silhouette import rim as naive_rim
@@ -35,8 +35,8 @@ CAMERAS = stack_cameras(ring(4))
 SETTINGS = RimSettings(size=128, outer=200, inner=40, spacing=0.012, margin=0.06)
 # An arm before the chest for one of the cameras, and behind it for another.
 FOLDED = {"arm_flex_l": 60, "elbow_flex_l": 100, "arm_rot_l": 60, "arm_abduct_r": 60}
-POSED, PROJECT = jax.jit(posed), jax.jit(jax.vmap(project, (0, None)))
-FORWARD, SKINNED, KEYS = jax.jit(forward), jax.jit(skinned), jax.jit(node_keys, static_argnums=3)
+POSED, PROJECT = jax.jit(pose_points), jax.jit(jax.vmap(project, (0, None)))
+FORWARD, SKINNED, KEYS = jax.jit(forward), jax.jit(skin_nodes), jax.jit(node_keys, static_argnums=3)
 RAYS = jax.jit(contour_rays)
 
 

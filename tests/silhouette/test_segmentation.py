@@ -16,9 +16,9 @@ from jaxmocap.capture.photographs import read_empty_room
 from jaxmocap.images.background_model import Background, learn_background
 from jaxmocap.images.canvases import (
     Canvas,
-    attached,
     canvas,
     full_mask,
+    keep_attached,
     mask_canvas,
     silhouette_distance,
 )
@@ -29,10 +29,10 @@ from jaxmocap.silhouette.segmentation.background_models import background_of_pic
 from jaxmocap.silhouette.segmentation.contour import contours
 from jaxmocap.silhouette.segmentation.level_set import (
     LevelSetMotion,
-    downsampled,
+    downsample,
     evolve,
     step,
-    upsampled,
+    upsample,
 )
 from jaxmocap.silhouette.segmentation.segment import (
     CanvasImages,
@@ -42,7 +42,7 @@ from jaxmocap.silhouette.segmentation.segment import (
     SegmentationPlan,
     segment,
 )
-from jaxmocap.silhouette.segmentation.sharpen import sharpened_silhouette
+from jaxmocap.silhouette.segmentation.sharpen import sharpen_silhouette
 from jaxmocap.synthetic.four_cameras import cameras_around
 from jaxmocap.synthetic.movements.exercises import exercise
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
@@ -128,7 +128,7 @@ def test_the_level_set_stays_near_a_distance():
 
 def test_halving_and_doubling_keep_the_contour():
     phi = jnp.asarray(disc())
-    again = upsampled(downsampled(phi) / 2)
+    again = upsample(downsample(phi) / 2)
     near = np.abs(disc()) < 4
     np.testing.assert_allclose(again[near], disc()[near], atol=0.1)
 
@@ -196,9 +196,9 @@ def test_a_limb_beside_the_predicted_one_does_not_change_places_with_the_floor()
 
 def test_pieces_that_lie_nowhere_near_the_prediction_are_not_the_person():
     person, hand, stranger = disc(20, 20, 10)[0], disc(40, 20, 4)[0], disc(45, 50, 8)[0]
-    actual = attached(np.maximum(np.maximum(person, hand), stranger), disc(30, 20, 9)[0])
+    actual = keep_attached(np.maximum(np.maximum(person, hand), stranger), disc(30, 20, 9)[0])
     np.testing.assert_array_equal(actual > 0, (person > 0) | (hand > 0))
-    np.testing.assert_array_equal(attached(person, -np.ones_like(person)), person)
+    np.testing.assert_array_equal(keep_attached(person, -np.ones_like(person)), person)
 
 
 def test_an_empty_room_is_read_from_a_picture_of_the_videos_size(tmp_path):
@@ -324,7 +324,7 @@ def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recor
         scene = view.scene(person, 0)
         frames += list(render_frames(scene, np.array([time])))
         sensor = Sensor.create((640, 480), np.random.default_rng(9))
-        rooms.append(learn_background(np.stack([sensor.exposed(scene.background)] * 3)))
+        rooms.append(learn_background(np.stack([sensor.expose(scene.background)] * 3)))
         starts.append(view.mask(off, time))
         truths.append(view.mask(person, time))
     regions = [region_about_mask(start, 192) for start in starts]
@@ -339,6 +339,6 @@ def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recor
     for view, truth in enumerate(truths):
         region, level_set = regions[view], np.asarray(actual.phi[view])
         cells = overlap(full_mask(level_set, region, truth.shape), truth)
-        sharp = sharpened_silhouette(frames[view], level_set, region, rooms[view]).full(truth.shape)
+        sharp = sharpen_silhouette(frames[view], level_set, region, rooms[view]).full(truth.shape)
         assert overlap(starts[view], truth) < 0.85 and cells > 0.88
         assert overlap(sharp, truth) > max(0.94, cells + 0.01)

@@ -10,14 +10,14 @@ from test_point_rays import ring
 from test_rim import BODY, FORWARD, POSED, PROJECT
 
 from jaxmocap.body.pose import relaxed_pose
-from jaxmocap.body.proportions import LENGTHS, scaled, stretched
+from jaxmocap.body.proportions import LENGTHS, scale_skeleton, stretch_points
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
-from jaxmocap.body.surfaces.surface import BodyPoints, resampled, rest_nodes
+from jaxmocap.body.surfaces.surface import BodyPoints, resample_surface, rest_nodes
 from jaxmocap.geometry.cameras import stack_cameras
 from jaxmocap.silhouette.fit.correspond import ContourPairs
 from jaxmocap.silhouette.passes import PassLearner
 from jaxmocap.silhouette.surfaces.shape import DEVIATION_M, ShapeEstimator, shape_equations
-from jaxmocap.silhouette.surfaces.swelling import KINDS, fields_of, reshaped
+from jaxmocap.silhouette.surfaces.swelling import KINDS, fields_of, swell_surface
 
 SURFACE, JOINTS = generic_surface(BODY), rest_joints(BODY)
 FIELDS = fields_of(SURFACE, JOINTS)
@@ -27,7 +27,7 @@ def moved(*name) -> np.ndarray:
     """(N, 3) how 1 cm of one field moves the nodes at rest."""
     amounts = np.where([each == name for each in FIELDS.names], 0.01, 0.0)
     assert amounts.any()
-    return rest_nodes(reshaped(SURFACE, FIELDS, amounts), JOINTS) - rest_nodes(SURFACE, JOINTS)
+    return rest_nodes(swell_surface(SURFACE, FIELDS, amounts), JOINTS) - rest_nodes(SURFACE, JOINTS)
 
 
 def patch(name: str) -> slice:
@@ -35,7 +35,7 @@ def patch(name: str) -> slice:
 
 
 def test_no_amounts_are_the_generic_body():
-    same = reshaped(SURFACE, FIELDS, np.zeros(len(FIELDS.names)))
+    same = swell_surface(SURFACE, FIELDS, np.zeros(len(FIELDS.names)))
     np.testing.assert_array_equal(same.points.points_bone, SURFACE.points.points_bone)
 
 
@@ -60,7 +60,7 @@ def test_a_trunk_is_the_same_on_both_sides():
 
 
 def test_the_fields_of_a_denser_surface_move_it_as_much():
-    dense = resampled(SURFACE, JOINTS, 0.03)
+    dense = resample_surface(SURFACE, JOINTS, 0.03)
     fields = fields_of(dense, JOINTS)
     assert fields.names == FIELDS.names
     girth = [name[1] == "girth" for name in fields.names]
@@ -85,7 +85,7 @@ def camera_pairs():
     angles = np.asarray(pose.angles) + rng.uniform(-0.1, 0.1, len(pose.angles))
     pose = pose._replace(angles=jnp.asarray(angles, jnp.float32))
     amounts = 0.002 * rng.standard_normal(len(FIELDS.names))
-    stout = reshaped(SURFACE, FIELDS, amounts)
+    stout = swell_surface(SURFACE, FIELDS, amounts)
     return *measured_shape(rng, pose, (BODY, stout)), amounts
 
 
@@ -109,8 +109,8 @@ LOGARITHMS = np.linspace(-0.02, 0.03, len(LENGTHS))
 def taller():
     """The same body with other bones' lengths, and its surface."""
     logarithms = jnp.asarray(LOGARITHMS, jnp.float32)
-    points = stretched(BODY, SURFACE.points, logarithms)
-    return scaled(BODY, logarithms), replace(SURFACE, points=points)
+    points = stretch_points(BODY, SURFACE.points, logarithms)
+    return scale_skeleton(BODY, logarithms), replace(SURFACE, points=points)
 
 
 def test_a_stretched_body_lies_about_its_longer_bones_as_it_lay_about_the_shorter(taller):
@@ -152,7 +152,7 @@ def test_lengths_are_found_beside_the_shape_and_worn():
         estimator.add_equations(*equations(rng, 30 * rows, truth, 0.02 * rng.standard_normal(6)))
     skeleton, surface = estimator.estimate()
     np.testing.assert_allclose(estimator.amounts, truth, atol=5e-4)
-    wanted = scaled(BODY, jnp.asarray(LOGARITHMS, jnp.float32)).lengths
+    wanted = scale_skeleton(BODY, jnp.asarray(LOGARITHMS, jnp.float32)).lengths
     np.testing.assert_allclose(skeleton.lengths, wanted, rtol=1e-3)
     assert len(surface.points.bones) == len(SURFACE.points.bones)
 

@@ -220,7 +220,7 @@ def test_a_room_is_learned_from_first_frames_but_about_the_person_and_there_once
         image[20:40, left : left + 8] = 10
         rows, columns = np.mgrid[20:40:4, left : left + 8 : 4]
         body = np.stack([columns.ravel(), rows.ravel()], 1).astype(float)
-        room = running.updated(image, NOBODY, REGION, body)
+        room = running.update(image, NOBODY, REGION, body)
         assert np.abs(room.colour[room.certainty > 0] - 120).max() < 2
         assert (
             room.certainty[20:40, 10:18].any() == (left == 50)

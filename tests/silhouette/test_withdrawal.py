@@ -7,7 +7,12 @@ import pytest
 
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.silhouette.recovery import relocation
-from jaxmocap.silhouette.recovery.relocation import LOST_FRAMES, remembered, slim, withdrawn
+from jaxmocap.silhouette.recovery.relocation import (
+    LOST_FRAMES,
+    remember_frame,
+    slim,
+    withdraw_joints,
+)
 from jaxmocap.silhouette.segmentation.outlines import Outlines
 from jaxmocap.silhouette.state import RecentFrame, StepReport
 
@@ -44,9 +49,9 @@ def kept(monkeypatch):
         reports, recent = [], ()
         for number, each in enumerate(steps):
             if each.relocated.any():
-                recent = withdrawn(None, None, recent, each.relocated)  # type: ignore[arg-type]
+                recent = withdraw_joints(None, None, recent, each.relocated)  # type: ignore[arg-type]
                 reports[len(reports) - len(recent) :] = [slim(frame.report) for frame in recent]
-            recent = remembered(recent, RecentFrame(each, number, number))  # type: ignore[arg-type]
+            recent = remember_frame(recent, RecentFrame(each, number, number))  # type: ignore[arg-type]
             reports.append(slim(each))
         return reports
 

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from painted_motion import CAMERAS, MODEL, PERSON, SETTINGS, disturbed, elbow_errors, problem, views
 
-from jaxmocap.geometry.cameras import project, to_camera, turned
+from jaxmocap.geometry.cameras import project, to_camera, turn_camera
 from jaxmocap.geometry.rotations import exp
 from jaxmocap.smoothing.elbow_viterbi import elbow_goals
 from jaxmocap.smoothing.linearise import SmoothedPoses, smooth_poses
@@ -25,7 +25,7 @@ from jaxmocap.smoothing.problem import (
     Trajectory,
     all_turned,
     among_cameras,
-    moved_by,
+    move_trajectory,
     shared_prior,
 )
 from jaxmocap.smoothing.uncertainty import with_deviations
@@ -119,7 +119,7 @@ VECTORS = st.lists(st.floats(-0.5, 0.5), min_size=3, max_size=3).map(np.float32)
 
 @given(VECTORS, VECTORS)
 def test_a_turned_camera_stays_where_it_is_and_turns_what_it_sees(turn, point):
-    other = turned(CAMERAS[0], on_device(turn))
+    other = turn_camera(CAMERAS[0], on_device(turn))
     np.testing.assert_allclose(other.position_world, CAMERAS[0].position_world, atol=1e-5)
     turned_point = np.asarray(exp(on_device(turn))) @ np.asarray(
         to_camera(CAMERAS[0], on_device(point))
@@ -129,7 +129,7 @@ def test_a_turned_camera_stays_where_it_is_and_turns_what_it_sees(turn, point):
 
 def test_half_a_degree_moves_what_is_seen_by_that_angle():
     ahead = CAMERAS[0].position_world + 3 * CAMERAS[0].T_cam_world[2, :3]
-    sideways = turned(CAMERAS[0], jnp.array([0.0, np.radians(0.5), 0.0], float))
+    sideways = turn_camera(CAMERAS[0], jnp.array([0.0, np.radians(0.5), 0.0], float))
     moved = project(sideways, ahead) - project(CAMERAS[0], ahead)
     focal = float(CAMERAS[0].matrix[0, 0])
     np.testing.assert_allclose(moved, [focal * np.tan(np.radians(0.5)), 0], atol=0.01)
@@ -178,7 +178,7 @@ def test_the_priors_gradient_is_that_of_its_cost():
 def test_a_step_moves_proportions_and_each_cameras_turn():
     begun, steps = start(True), np.zeros((COUNT, 6 + len(PERSON.tree.joints)))
     shared = np.arange(8) / 100
-    moved = moved_by(begun, steps, shared)
+    moved = move_trajectory(begun, steps, shared)
     np.testing.assert_allclose(moved.proportions, shared[:2], atol=1e-7)
     np.testing.assert_allclose(moved.turns_cam, shared[2:].reshape(2, 3), atol=1e-7)
     for now, was in zip(jax.tree.leaves(moved.poses), jax.tree.leaves(begun.poses), strict=True):

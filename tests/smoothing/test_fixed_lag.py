@@ -57,7 +57,7 @@ from jaxmocap.smoothing.window.track import (
     STRAY_M,
     Sample,
     markers_at,
-    moved_near_markers,
+    move_near_markers,
 )
 from jaxmocap.solvers.fading import Fading
 
@@ -491,7 +491,7 @@ def test_a_window_over_everything_agrees_with_the_second_pass(monkeypatch):
     )
     measured = jax.tree.map(lambda part: np.asarray(part[:count]), smoother._state.events.measured)
     # These are as soft already as they are drawn.
-    monkeypatch.setattr("jaxmocap.smoothing.linearise.softened", lambda problem, _: problem)
+    monkeypatch.setattr("jaxmocap.smoothing.linearise.soften_grids", lambda problem, _: problem)
     views = Views(np.arange(count), np.zeros(count, int), SilhouetteGrids(*grids))
     problem = SmoothingProblem(smoother.model, smoother.settings, TIMES[:count], measured, views)
     usual = np.zeros(len(PROPORTIONS), np.float32)
@@ -691,7 +691,7 @@ def test_an_event_without_curvature_of_its_own_is_solved_all_the_same():
 
 def test_final_poses_go_on_without_a_jump():
     still = Fading(np.zeros(1), np.zeros(1), 0.0).at(1.0, 0.05)
-    left = still.corrected(np.array([0.3]))
+    left = still.correct(np.array([0.3]))
     np.testing.assert_allclose(left.at(1.0 + 1e-6, 0.05).offset, 0.3, atol=1e-5)
     assert abs(float(left.at(1.5, 0.05).offset[0])) < 1e-3
 
@@ -699,7 +699,7 @@ def test_final_poses_go_on_without_a_jump():
 def test_corrections_fade_in_beside_the_markers():
     """Those of a third of a radian in every joint: an elbow moves, head and hands hardly."""
     model, rng = Model.create(PERSON, MARKERS), np.random.default_rng(4)
-    near = jax.jit(moved_near_markers)
+    near = jax.jit(move_near_markers)
     for i in range(4):
         pose = np.concatenate(at(truth(COUNT), 3 * i)).astype(np.float32)
         offset = rng.uniform(-0.3, 0.3, 6 + PERSON.limits.shape[0]).astype(np.float32)
@@ -716,7 +716,7 @@ def off_moved_markers(by) -> np.ndarray:
     """Distances (M,) from markers that lie elsewhere by so much, of a pose moved near them."""
     pose = unpack(np.concatenate(at(truth(COUNT), 3)).astype(np.float32))
     markers, still = marked(pose) + by, np.zeros(6 + PERSON.limits.shape[0], np.float32)
-    moved = jax.jit(moved_near_markers)(Model.create(PERSON, MARKERS), pose, still, markers)
+    moved = jax.jit(move_near_markers)(Model.create(PERSON, MARKERS), pose, still, markers)
     return np.linalg.norm(marked(moved) - markers, axis=-1)
 
 

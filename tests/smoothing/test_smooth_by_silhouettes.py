@@ -33,10 +33,10 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.geometry.rotations import exp
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.images.silhouette_grid import blurred
+from jaxmocap.images.silhouette_grid import blur_grid
 from jaxmocap.smoothing.functions import SOFTNESS, Events, SmoothMotion
 from jaxmocap.smoothing.linearise import smooth_poses
-from jaxmocap.smoothing.settings import weighed_by_time
+from jaxmocap.smoothing.settings import weigh_by_time
 
 COUNT = 4
 # Cells by which the second nearest limb is away where no two limbs meet, blurred as they are.
@@ -54,7 +54,7 @@ smooth = jax.jit(jaxmocap.smooth)
 def silhouettes(untied: bool = False) -> SilhouetteGrids:
     """Of both cameras (T, C, ...), with or without the cells in which limbs meet."""
     each = [views(COUNT, (camera,)).grids for camera in range(len(CAMERAS))]
-    each = [grids.each_grid(partial(blurred, softness=SOFTNESS)) for grids in each]
+    each = [grids.each_grid(partial(blur_grid, softness=SOFTNESS)) for grids in each]
     stacked = jax.tree.map(lambda *parts: np.stack(parts, 1), *each)
     if not untied:
         return stacked
@@ -83,7 +83,7 @@ def test_the_minimum_is_that_of_a_recording_whose_lengths_are_sure(degrees):
     """Two valleys lie 0.8 mm apart at an elbow; from other starts each descent may take its own."""
     surely = replace(SETTINGS, proportions=1e6, iterations=200)
     given = problem(COUNT, views(COUNT, (0, 1)))
-    given = replace(given, settings=weighed_by_time(surely, given.times))
+    given = replace(given, settings=weigh_by_time(surely, given.times))
     start = disturbed(COUNT, degrees)
     ended = smooth_poses(given, start, (SOFTNESS,), 1e-7)
     expected = elbow_errors(ended.trajectory.poses)

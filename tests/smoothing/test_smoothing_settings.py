@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from jaxmocap.smoothing.settings import LASTING_HZ, SmoothingSettings, weighed_by_time
+from jaxmocap.smoothing.settings import LASTING_HZ, SmoothingSettings, weigh_by_time
 
 STATED = SmoothingSettings()
 
 
 @pytest.mark.parametrize("rate", [25, 60, 300])
 def test_a_second_of_what_is_usual_weighs_the_same_however_often_was_measured(rate):
-    weighed = weighed_by_time(STATED, np.arange(10) / rate)
+    weighed = weigh_by_time(STATED, np.arange(10) / rate)
     for name in ("ease", "bearing"):
         stated, deviation = (float(getattr(s.posture, name)) for s in (STATED, weighed))
         assert rate / deviation**2 == pytest.approx(LASTING_HZ / stated**2, rel=1e-5)
@@ -29,10 +29,8 @@ def test_a_gap_is_no_slower_rate():
     later = np.concatenate([both, both + 600])
     expected = float(STATED.posture.ease) * np.sqrt(120 / LASTING_HZ)
     for times in (both, later):
-        assert float(weighed_by_time(STATED, times).posture.ease) == pytest.approx(
-            expected, rel=0.02
-        )
+        assert float(weigh_by_time(STATED, times).posture.ease) == pytest.approx(expected, rel=0.02)
 
 
 def test_one_event_counts_as_it_is():
-    assert weighed_by_time(STATED, np.zeros(1)) is STATED
+    assert weigh_by_time(STATED, np.zeros(1)) is STATED

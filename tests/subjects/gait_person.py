@@ -62,7 +62,7 @@ class MeshPerson(RiggedMesh):
         """Turns (T, J, 3, 3) from rest, and positions (T, J, 3), of the joints."""
         centres = _centres(self.markers, times)
         legs = (centres["LeftUpLeg"] + centres["RightUpLeg"]) / 2
-        return self.chained(_turns(self, centres), legs)
+        return self.chain_turns(_turns(self, centres), legs)
 
 
 def mesh_person(

@@ -42,9 +42,9 @@ class Rectangle(NamedTuple):
     @property
     def within(self) -> tuple[slice, slice]:
         """Its rows and columns of the picture."""
-        return self.framed(0)
+        return self.with_margin(0)
 
-    def framed(self, margin: int) -> tuple[slice, slice]:
+    def with_margin(self, margin: int) -> tuple[slice, slice]:
         """Rows and columns with a margin about it, texels."""
         return (
             slice(self.top - margin, self.top + self.height + margin),

@@ -90,12 +90,12 @@ class Surface:
         return np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
 
 
-def posed(frames: Frames, points: BodyPoints) -> Array:
+def pose_points(frames: Frames, points: BodyPoints) -> Array:
     """Points (N, 3) in the world, metres: linear blend skinning."""
-    return jnp.sum(jnp.asarray(points.shares)[..., None] * carried_by_bones(frames, points), -2)
+    return jnp.sum(jnp.asarray(points.shares)[..., None] * carry_by_bones(frames, points), -2)
 
 
-def carried_by_bones(frames: Frames, points: BodyPoints) -> Array:
+def carry_by_bones(frames: Frames, points: BodyPoints) -> Array:
     """(N, K, 3) where each bone alone would carry its points."""
     R, joints = frames.R_world_bone[points.bones], frames.joints_world[points.bones]
     return joints + rotate(R, jnp.asarray(points.points_bone))
@@ -138,7 +138,7 @@ def rest_nodes(surface: Surface, joints: np.ndarray) -> np.ndarray:
     return np.sum(np.asarray(surface.points.shares)[..., None] * carried_at, 1)
 
 
-def resampled(surface: Surface, joints: np.ndarray, spacing: float) -> Surface:
+def resample_surface(surface: Surface, joints: np.ndarray, spacing: float) -> Surface:
     """The same surface with nodes about ``spacing`` metres apart: for its index image.
 
     Around, by the Fourier series of (3.17), evaluated at more places; along, linearly.
@@ -156,10 +156,10 @@ def resampled(surface: Surface, joints: np.ndarray, spacing: float) -> Surface:
     return surface_from_rest(grids, shares, joints)
 
 
-def resampled_moves(
+def resample_moves(
     surface: Surface, joints: np.ndarray, spacing: float, moves: np.ndarray
 ) -> np.ndarray:
-    """Moves (M, 3) of the nodes of ``resampled`` by those of a surface's own, (N, 3)."""
+    """Moves (M, 3) of the nodes of ``resample_surface`` by those of a surface's own, (N, 3)."""
     nodes, rows = rest_nodes(surface, joints), []
     for patch in surface.patches:
         places = _places(patch.grid(nodes), spacing)
@@ -205,7 +205,7 @@ def low_pass(surface: Surface, joints: np.ndarray, harmonics: int, along: int) -
 
 
 class Skin(NamedTuple):
-    """A surface as one product: for tens of thousands of nodes ten times as fast as ``posed``."""
+    """A surface as one product: of many nodes ten times as fast as ``pose_points``."""
 
     weights: Array  # (B, N) share of every bone
     rest: Array  # (3, N) nodes with all angles 0, from the pelvis, metres
@@ -213,13 +213,13 @@ class Skin(NamedTuple):
 
 
 def skin_of(surface: Surface, joints: np.ndarray) -> Skin:
-    """A surface around bones with these joints (B, 3) at rest, for ``skinned``."""
+    """A surface around bones with these joints (B, 3) at rest, for ``skin_nodes``."""
     dtype = jnp.asarray(surface.points.points_bone).dtype
     weights, rest = every_share(surface.points, len(joints)), rest_nodes(surface, joints)
     return Skin(*(on_device(part, dtype) for part in (weights.T, rest.T, joints)))
 
 
-def skinned(frames: Frames, skin: Skin) -> tuple[Array, Array, Array]:
+def skin_nodes(frames: Frames, skin: Skin) -> tuple[Array, Array, Array]:
     """Nodes in the world by components, each (N,), metres; arrays of three are slow to go through.
 
     Every node is moved by its bones' blended transform.

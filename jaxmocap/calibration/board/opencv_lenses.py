@@ -100,13 +100,13 @@ def pose_candidates(
     plane = cv2.fisheye.undistortPoints(pixels_xy[:, None].astype(float), K, _four(lens))
     _, rvecs, tvecs, _ = cv2.solvePnPGeneric(points, plane, np.eye(3), np.zeros(4), flags=method)
     return [
-        _refined(points, pixels_xy, lens, np.concatenate([r.ravel(), t.ravel()]))
+        _refine_pose(points, pixels_xy, lens, np.concatenate([r.ravel(), t.ravel()]))
         for r, t in zip(rvecs, tvecs, strict=True)
         if np.isfinite(r).all() and np.isfinite(t).all()
     ]
 
 
-def _refined(
+def _refine_pose(
     points: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """A pose (6,) by Levenberg-Marquardt on the pixels."""

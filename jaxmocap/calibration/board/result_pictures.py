@@ -178,7 +178,7 @@ def draw_views(
         views = {view.name: (view, pose, use) for view, pose, use in both}
     files = []
     for number, picture in enumerate(detections.pictures, 1):
-        canvas = _titled(detections, picture)
+        canvas = _add_title(detections, picture)
         if picture.name in views:
             view, pose, use = views[picture.name]
             canvas.corners(view.pixels_xy)
@@ -201,7 +201,7 @@ def draw_views(
     return [*files, write_annotated(Path(folder) / "coverage.jpg", coverage)]
 
 
-def _titled(detections: BoardDetections, picture: Picture) -> AnnotatedPicture:
+def _add_title(detections: BoardDetections, picture: Picture) -> AnnotatedPicture:
     canvas = AnnotatedPicture(picture.image())
     canvas.title(picture.name)
     if picture.name in detections.not_found:

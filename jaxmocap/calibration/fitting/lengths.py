@@ -23,7 +23,7 @@ import numpy as np
 
 from jaxmocap.body.proportions import GIRTHS, LENGTHS, covariance_among_people
 from jaxmocap.smoothing.levenberg_marquardt import covariances
-from jaxmocap.smoothing.linearise import linearise_problem, smooth_poses, softened, two_workers
+from jaxmocap.smoothing.linearise import linearise_problem, smooth_poses, soften_grids, two_workers
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory
 from jaxmocap.smoothing.uncertainty import lasting_errors
 from jaxmocap.solvers.status import Status
@@ -80,7 +80,7 @@ def fit_lengths(
     freed = start._replace(proportions=np.pad(given, (0, missing)))
     solved = smooth_poses(weighed, freed, softness)
     trajectory, count = solved.trajectory, len(LENGTHS) + len(GIRTHS)
-    prior, soft = weighed.motion_prior(), softened(weighed, softness[-1])
+    prior, soft = weighed.motion_prior(), soften_grids(weighed, softness[-1])
     with two_workers() as workers:
         linear = linearise_problem(soft, softness[-1], workers, trajectory)
     # The prior weighs in as many views as there are: undone, it is the prior that people have.

@@ -19,17 +19,17 @@ from jax import Array
 from jaxmocap.body.kinematics import forward, jacobian, landmark_sites, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
-from jaxmocap.body.proportions import LENGTHS, covariance_among_people, scaled
+from jaxmocap.body.proportions import LENGTHS, covariance_among_people, scale_skeleton
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.calibration.fitting.marker_poses import (
     TAILS,
     LinearMarkers,
-    damped,
+    damp_hessian,
     descend,
-    linearised,
+    linearise_sample,
     marker_cost,
     pose_equations,
-    solved,
+    solve_definite,
 )
 from jaxmocap.compilation.programs import Program
 from jaxmocap.geometry.rotations import HIGHEST
@@ -61,10 +61,10 @@ class PersonFit(NamedTuple):
 def fitted_model(model: Model, person: MarkedPerson) -> Model:
     """The model with a person's lengths and offsets."""
     sites = replace(model.markers, offsets=model.markers.offsets + person.shifts)
-    return replace(model, skeleton=scaled(model.skeleton, person.lengths), markers=sites)
+    return replace(model, skeleton=scale_skeleton(model.skeleton, person.lengths), markers=sites)
 
 
-def unchanged(model: Model) -> MarkedPerson:
+def person_of_model(model: Model) -> MarkedPerson:
     """The person whom the model states."""
     markers = len(model.markers.bone_indices)
     return MarkedPerson(jnp.zeros(len(LENGTHS), model.dtype), jnp.zeros((markers, 3), model.dtype))
@@ -75,14 +75,14 @@ def fit_person(model: Model, start: Pose, targets: Array) -> PersonFit:
 
     ``targets`` (K, M, 3) are markers, world, metres; NaN where missing.
     """
-    first = unchanged(model), start
+    first = person_of_model(model), start
     (person, poses), cost = descend(
         partial(_cost_of_all, model, targets), partial(_joint_step, model, targets), first
     )
     undamped = jnp.zeros((), model.dtype)
     precision, _, _ = _shared_equations(model, targets, person, poses, undamped)
     return PersonFit(
-        person, poses, cost, solved(precision, jnp.eye(len(precision), dtype=model.dtype))
+        person, poses, cost, solve_definite(precision, jnp.eye(len(precision), dtype=model.dtype))
     )
 
 
@@ -100,20 +100,20 @@ LANDMARK_VARIANCES = Program(landmark_variances, "landmark_variances")
 
 
 def _landmark_variances(model: Model, covariance: Array, pose: Pose, targets: Array) -> Array:
-    linear, skeleton = linearised(model, targets, TAILS, pose), model.skeleton
+    linear, skeleton = linearise_sample(model, targets, TAILS, pose), model.skeleton
     hessian, _ = pose_equations(model, linear, pose)
-    sites, person = landmark_sites(skeleton), unchanged(model)
+    sites, person = landmark_sites(skeleton), person_of_model(model)
     points = site_positions(skeleton, linear.frames, sites)
     J = jacobian(skeleton, linear.frames, sites.bones, points).reshape(3 * len(LANDMARKS), -1)
 
     def scaled_points(lengths: Array) -> Array:
-        longer = scaled(skeleton, lengths)
+        longer = scale_skeleton(skeleton, lengths)
         return site_positions(longer, forward(longer, pose), sites).ravel()
 
     B = _by_person(model, person, linear, pose)
     weighed = linear.weights[:, None, None] * B
     cross = jnp.einsum("mij,mis->js", linear.J, weighed, precision=HIGHEST)
-    follows = solved(hessian, jnp.concatenate([J.T, cross], 1))
+    follows = solve_definite(hessian, jnp.concatenate([J.T, cross], 1))
     alone, drawn = follows[:, : J.shape[0]], follows[:, J.shape[0] :]
     D = jnp.pad(jax.jacfwd(scaled_points)(person.lengths), ((0, 0), (0, person.shifts.size)))
     D = D - jnp.matmul(J, drawn, precision=HIGHEST)
@@ -134,7 +134,7 @@ def _cost_of_all(model: Model, targets: Array, place: tuple[MarkedPerson, Pose])
         targets, TAILS, poses
     )
     shared = jnp.concatenate([person.lengths, person.shifts.ravel()])
-    return jnp.sum(own) + shared @ solved(usual_covariance(model), shared)
+    return jnp.sum(own) + shared @ solve_definite(usual_covariance(model), shared)
 
 
 def _shared_equations(
@@ -147,22 +147,22 @@ def _shared_equations(
     there = fitted_model(model, person)
 
     def of_sample(own: Array, pose: Pose) -> tuple[Array, ...]:
-        linear = linearised(there, own, TAILS, pose)
+        linear = linearise_sample(there, own, TAILS, pose)
         hessian, gradient = pose_equations(there, linear, pose)
         B = _by_person(model, person, linear, pose)
         weighed = linear.weights[:, None, None] * B
         pull = jnp.einsum("mis,mi->s", weighed, linear.off, precision=HIGHEST)
         cross = jnp.einsum("mij,mis->js", linear.J, weighed, precision=HIGHEST)
         square = jnp.einsum("mis,mit->st", weighed, B, precision=HIGHEST)
-        eliminated = solved(
-            damped(hessian, damping), jnp.concatenate([cross, gradient[:, None]], 1)
+        eliminated = solve_definite(
+            damp_hessian(hessian, damping), jnp.concatenate([cross, gradient[:, None]], 1)
         )
         return eliminated, cross, square, pull
 
     eliminated, cross, square, pull = jax.vmap(of_sample)(targets, poses)
     shared = jnp.concatenate([person.lengths, person.shifts.ravel()])
     weights = jnp.linalg.inv(usual_covariance(model))
-    left = damped(jnp.sum(square, 0) + weights, damping)
+    left = damp_hessian(jnp.sum(square, 0) + weights, damping)
     right = jnp.sum(pull, 0) + jnp.matmul(weights, shared, precision=HIGHEST)
     reduced = jnp.einsum("kis,kit->st", cross, eliminated, precision=HIGHEST)
     return left - reduced[:, :-1], right - reduced[:, -1], eliminated
@@ -174,7 +174,7 @@ def _joint_step(
     """The next place: poses eliminated, what is shared solved for, poses found again."""
     person, poses = place
     left, right, eliminated = _shared_equations(model, targets, person, poses, damping)
-    step, count = -solved(left, right), len(LENGTHS)
+    step, count = -solve_definite(left, right), len(LENGTHS)
     follow, own = eliminated[..., :-1], eliminated[..., -1]
     moves = -own - jnp.einsum("kis,s->ki", follow, step, precision=HIGHEST)
     lengths, shifts = step[:count], step[count:].reshape(-1, 3)

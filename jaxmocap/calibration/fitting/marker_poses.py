@@ -62,8 +62,10 @@ def fit_poses(model: Model, start: Pose, targets: Array, tails: Array | float) -
 
     def one(pose: Pose, own: Array) -> PosesFit:
         def step(pose: Pose, damping: Array) -> Pose:
-            hessian, gradient = pose_equations(model, linearised(model, own, tails, pose), pose)
-            return retract(pose, -solved(damped(hessian, damping), gradient))
+            hessian, gradient = pose_equations(
+                model, linearise_sample(model, own, tails, pose), pose
+            )
+            return retract(pose, -solve_definite(damp_hessian(hessian, damping), gradient))
 
         there, cost = descend(partial(marker_cost, model, own, tails), step, pose)
         off = jnp.sqrt(jnp.sum(_off(model, forward(model.skeleton, there), own) ** 2, -1))
@@ -116,7 +118,9 @@ def marker_cost(model: Model, targets: Array, tails: Array | float, pose: Pose) 
     return jnp.sum(tails * jnp.log1p(squares / tails)) + jnp.sum(away**2) + jnp.sum(beyond**2)
 
 
-def linearised(model: Model, targets: Array, tails: Array | float, pose: Pose) -> LinearMarkers:
+def linearise_sample(
+    model: Model, targets: Array, tails: Array | float, pose: Pose
+) -> LinearMarkers:
     """A sample about its pose; see ``fit_poses``."""
     frames = forward(model.skeleton, pose)
     off = _off(model, frames, targets)
@@ -144,11 +148,11 @@ def pose_equations(model: Model, linear: LinearMarkers, pose: Pose) -> tuple[Arr
     return hessian, gradient + jnp.pad(pull, (ROOT_DOF, 0))
 
 
-def damped(hessian: Array, damping: Array) -> Array:
+def damp_hessian(hessian: Array, damping: Array) -> Array:
     """With its diagonal (N,) made larger by a share."""
     return hessian + damping * jnp.diag(jnp.diag(hessian))
 
 
-def solved(hessian: Array, right: Array) -> Array:
+def solve_definite(hessian: Array, right: Array) -> Array:
     """The solution (N, ...) of equations whose matrix (N, N) is positive definite."""
     return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(hessian), right)

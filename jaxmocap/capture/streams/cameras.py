@@ -215,10 +215,10 @@ def device_frames(device: int, size: list[int], colour: bool) -> Images:
     capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
     capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
     capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-    return _grabbed(capture, colour)
+    return _grab_frame(capture, colour)
 
 
-def _grabbed(capture: Any, colour: bool) -> Images:
+def _grab_frame(capture: Any, colour: bool) -> Images:
     import cv2
 
     try:

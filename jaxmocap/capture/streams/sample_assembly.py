@@ -108,11 +108,11 @@ class SampleAssembler:
         if self._messages and (is_complete or len(self._messages) >= len(alive)):
             self._flush()
 
-    def oriented(self) -> set[str]:
+    def oriented_markers(self) -> set[str]:
         """Markers that have come with an orientation."""
         return {self._names[i] for i in tuple(self._orientations)}
 
-    def placed(self) -> set[str]:
+    def placed_markers(self) -> set[str]:
         """Markers that have come with a position."""
         return {self._names[i] for i in np.flatnonzero(np.isfinite(self._last_arrivals))}
 

@@ -133,7 +133,7 @@ class MarkerSocket(MarkerSource):
             self.ignored["flood"] += len(queue) - counts[sender]
         self._bucket.take(len(chosen))
         in_order = sorted(chosen, key=lambda pair: pair[0].arrived)
-        read = [(*each, packet) for each in in_order if (packet := self._parsed(each[0]))]
+        read = [(*each, packet) for each in in_order if (packet := self._parse_datagram(each[0]))]
         newest = {} if more_wait else {sender: datagram for datagram, sender, _ in read}
         for datagram, sender, packet in read:
             is_prompt = newest.get(sender) is datagram
@@ -143,7 +143,7 @@ class MarkerSocket(MarkerSource):
         # Only now, so that nobody who looks meanwhile misses what came with them.
         self.last_look = now
 
-    def _parsed(self, datagram: Datagram) -> Packet | None:
+    def _parse_datagram(self, datagram: Datagram) -> Packet | None:
         """What it says about markers; None where that is nothing, which is counted."""
         try:
             packet = parse_packet(datagram.content, self._raw)

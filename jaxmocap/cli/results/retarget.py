@@ -23,9 +23,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from jaxmocap.pipelines.retarget import retarget, retargeted_folder, write_retargeted
+    from jaxmocap.pipelines.retarget import retarget, retarget_folder, write_retargeted
 
-    folder = retargeted_folder(options.out, options.source, options.onto)
+    folder = retarget_folder(options.out, options.source, options.onto)
     result = retarget(options.source, options.onto)
     warnings: list[str] = []
     files = write_retargeted(result, folder, warnings.append)

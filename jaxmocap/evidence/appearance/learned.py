@@ -40,7 +40,7 @@ from jaxmocap.images.foreground import (
     log_odds_of,
     person_grids,
     shrunk_size,
-    weighed,
+    weigh_odds,
 )
 from jaxmocap.images.regions import Region, region_of_side
 from jaxmocap.images.silhouette_grid import Grid
@@ -303,8 +303,8 @@ def body_grids(
         origin, both = np.asarray(region.origin) - corner, (layers, others)
         return [Grid(*each) for each in person_grids(both, origin, float(region.scale), cells)]
 
-    layers = weighed(person)
-    person_image, part = grids(weighed(forearms), upper, on_upper)
+    layers = weigh_odds(person)
+    person_image, part = grids(weigh_odds(forearms), upper, on_upper)
     legs = LegGrid(regions.lower, grids(layers, lower, on_legs)[0])
     per_metre = drawing.image_per_metre(frame, regions.upper.scale.dtype)
     return odds, SilhouetteGrids(regions.upper, person_image, part, per_metre, legs)

@@ -18,7 +18,7 @@ from jax import Array
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.compilation.arrays import packed, unpacked
+from jaxmocap.compilation.arrays import pack_leaves, unpack_leaves
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.learned import (
     BARE,
@@ -40,7 +40,7 @@ from jaxmocap.images.background_model import RunningBackground
 from jaxmocap.images.colours import RunningColours
 from jaxmocap.images.foreground import SURE_ODDS, shrink
 from jaxmocap.images.regions import Region, region_of_side
-from jaxmocap.images.silhouette_grid import Grid, blurred
+from jaxmocap.images.silhouette_grid import Grid, blur_grid
 
 # Rows of the images that silhouettes are learned from, fewer than for a whole recording;
 ROWS = 160
@@ -86,11 +86,11 @@ class _Projected(NamedTuple):
 
 
 @program("quick")
-def _projected(skeleton: Skeleton, camera: Camera, pose: Array) -> Array:
+def _project_bones(skeleton: Skeleton, camera: Camera, pose: Array) -> Array:
     """A packed ``_Projected`` of a packed pose."""
     posed = unpack(pose)
     limbs, per_metre = in_image(skeleton, camera, posed)
-    return packed(_Projected(limbs, project(camera, landmarks(skeleton, posed)), per_metre))
+    return pack_leaves(_Projected(limbs, project(camera, landmarks(skeleton, posed)), per_metre))
 
 
 @dataclass
@@ -144,7 +144,7 @@ class RunningAppearance:
         The first frame is learned from beforehand: colours are available at once.
         """
         size = image.shape[1], image.shape[0]
-        small = shrink(_coloured(image), ROWS)
+        small = shrink(_to_colour(image), ROWS)
         drawing, pixels = self._drawing(size, pose)
         regions = Regions(self._upper.region(pixels), self._lower.region(pixels))
         if self._nothing_learned:
@@ -174,10 +174,10 @@ class RunningAppearance:
 
     def _drawing(self, size: tuple[int, int], pose: Pose) -> tuple[Drawing, np.ndarray]:
         """The body in the shrunk image, and its landmarks in the full one."""
-        vector = np.asarray(_projected(self._skeleton, self._camera, np.concatenate(pose)))
+        vector = np.asarray(_project_bones(self._skeleton, self._camera, np.concatenate(pose)))
         of_bones = np.empty((len(self._skeleton.tree.bones), 2))
         shapes = _Projected(Discs._make([of_bones] * 3), np.empty((len(LANDMARKS), 2)), np.empty(1))
-        limbs, pixels, per_metre = unpacked(vector, shapes)
+        limbs, pixels, per_metre = unpack_leaves(vector, shapes)
         alone = Discs._make(part[None] for part in limbs)
         drawing = Drawing.shrunk(self._skeleton, alone, per_metre, size, ROWS)
         return drawing, pixels
@@ -205,13 +205,13 @@ class RunningAppearance:
         self.forearms.update(image, arms, ~others)
 
 
-def _coloured(image: np.ndarray) -> np.ndarray:
+def _to_colour(image: np.ndarray) -> np.ndarray:
     """(H, W, 3), of a grey image (H, W) too."""
     return image if image.ndim == 3 else np.repeat(image[..., None], 3, 2)
 
 
 def _soft(grid: Grid, softness: float) -> Grid:
     """One grid blurred as softly as it is drawn, float32; few cells count as much as many."""
-    stacked = blurred(Grid(*(np.asarray(part)[None] for part in grid)), softness)
+    stacked = blur_grid(Grid(*(np.asarray(part)[None] for part in grid)), softness)
     probability, weight = (np.asarray(part[0], np.float32) for part in stacked)
     return Grid(probability, weight * np.float32(CELLS / UPPER_CELLS))

@@ -29,7 +29,7 @@ from jaxmocap.formats.armatures.armature import (
 from jaxmocap.formats.armatures.body_armature import T_POSE, armature_of
 from jaxmocap.formats.armatures.skin import surface_skin
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP
-from jaxmocap.formats.time_series.resampling import even_times, resampled_armature
+from jaxmocap.formats.time_series.resampling import even_times, resample_armature
 from jaxmocap.formats.time_series.tables import is_even
 
 # What names joints have in a file if nothing else is asked for.
@@ -76,7 +76,7 @@ def _evenly_sampled(path: str | Path, armature: Armature) -> Armature:
         problem = f"BVH has one rate only, and its {len(times)} samples at {rate:g} Hz would take"
         gap = f"{count:.6g} frames (up to {steps.max():g} s apart)"
         raise BeyondFormatError(path, f"{problem} {gap}, expected at most {most}")
-    return resampled_armature(armature, even_times(times, rate, 9 * len(armature.names), path))
+    return resample_armature(armature, even_times(times, rate, 9 * len(armature.names), path))
 
 
 def write_avatar(

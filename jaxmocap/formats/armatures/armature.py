@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.geometry.rows import Rows, mapped, row_blocks, taken
+from jaxmocap.geometry.rows import Rows, map_rows, row_blocks, take_rows
 
 # What a file may hold: joints (fingers and faces take some hundred), and their depth in the tree.
 MAX_JOINTS = 2000
@@ -88,7 +88,7 @@ def rotated_armature(armature: Armature, R_new_old: np.ndarray) -> Armature:
         armature,
         offsets=armature.offsets @ R_new_old.T,
         positions=armature.positions @ R_new_old.T,
-        rotations=mapped(armature.rotations, lambda R: R_new_old @ R @ R_new_old.T),
+        rotations=map_rows(armature.rotations, lambda R: R_new_old @ R @ R_new_old.T),
     )
 
 
@@ -106,5 +106,5 @@ def fill_from_nearest(armature: Armature, path: str | Path) -> Armature:
     return replace(
         armature,
         positions=armature.positions[nearest],
-        rotations=taken(armature.rotations, nearest),
+        rotations=take_rows(armature.rotations, nearest),
     )

@@ -34,8 +34,8 @@ def read(source: Source) -> SourceCalibration | None:
     cameras = []
     for name in (key.removeprefix("K_") for key in of_lenses if key.startswith("K_")):
         where = f"camera {short_name(name)}"
-        lens = camera_table(lenses, of_lenses, _named(_LENS, name))
-        place = camera_table(places, of_places, keys := _named(_PLACE, name))
+        lens = camera_table(lenses, of_lenses, _camera_keys(_LENS, name))
+        place = camera_table(places, of_places, keys := _camera_keys(_PLACE, name))
         if missing := [each[0] for field, each in keys.items() if field not in place]:
             raise InputError(places, f"{where}: {missing[0]} is missing")
         read_place(TomlTable(places, where, place), "the board's unit")
@@ -43,6 +43,6 @@ def read(source: Source) -> SourceCalibration | None:
     return SourceCalibration(cameras, "m", "z", states_unit=False, assumed_up="z is up")
 
 
-def _named(keys: dict[str, str], name: str) -> dict[str, list[str]]:
+def _camera_keys(keys: dict[str, str], name: str) -> dict[str, list[str]]:
     """Field -> keys of one camera."""
     return {field: [f"{key}_{name}" for key in each.split()] for field, each in keys.items()}

@@ -77,7 +77,7 @@ def _array(dtype: Any, shape: Any, content: Any, order: Any) -> np.ndarray:
     return np.frombuffer(content, kind).reshape(shape, order=order)
 
 
-def _refused(problem: str) -> Callable[..., NoReturn]:
+def _refusal(problem: str) -> Callable[..., NoReturn]:
     def refuse(*_: Any) -> NoReturn:
         raise _RefusedError(problem)
 
@@ -90,7 +90,7 @@ _FUNCTIONS = {
     "_frombuffer": lambda content, dtype, shape, order: _array(dtype, shape, content, order),
     "scalar": lambda dtype, content: _array(dtype, (), content, "C").item(),
     "dtype": lambda code, *_: _Dtype(code),
-    "ndarray": _refused("a call of ndarray"),
+    "ndarray": _refusal("a call of ndarray"),
     "encode": lambda text, *_: text.encode("latin-1"),
 }
 
@@ -113,7 +113,7 @@ class _Unpickler(pickle._Unpickler):
     dispatch: ClassVar = {
         ord(each.code): pickle._Unpickler.dispatch[ord(each.code)]
         if each.name in _PLAIN
-        else _refused(f"an instruction {each.name}")
+        else _refusal(f"an instruction {each.name}")
         for each in pickletools.opcodes
     } | {
         pickle.EMPTY_DICT[0]: lambda unpickler: unpickler.append(_TextKeys()),

@@ -94,7 +94,7 @@ def _camera(camera: XmlCamera) -> tuple[tuple[str, TomlTable], float]:
 def _radial(frame: TomlTable, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centre (2,) of the distortion, pixels, and k1 k2 k3 of Vicon's polynomial."""
     if "VICON_RADIAL2" in frame:
-        model, *words = str(frame.required("VICON_RADIAL2")).split()
+        model, *words = str(frame.require("VICON_RADIAL2")).split()
         try:
             numbers = np.array(words, float)
         except ValueError:

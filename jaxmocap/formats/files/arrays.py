@@ -93,7 +93,7 @@ class NpzArrays:
                 encrypted or compressed otherwise than by deflate.
         """
         self.path = path
-        self._zip = _opened(path)
+        self._zip = _open_zip(path)
         self._members = _members(path, self._zip)
         self._sizes: dict[str, tuple[int, str]] = {}
         self._bytes_left = MAX_ARRAY_BYTES
@@ -119,7 +119,7 @@ class NpzArrays:
         self._check_kind(name, dtype, stated)
         self._check_shape(name, shape, stated)
         self._check_size(name, start, math.prod(shape), dtype, stated)
-        stored = self._stored(name)
+        stored = self._read_stored(name)
         if stated.kind in (NAMES, TEXT):
             self._check_texts(name, stored, stated)
             return stored
@@ -200,7 +200,7 @@ class NpzArrays:
             most = f"expected at most {MAX_ARRAY_BYTES / 2**20:g} MB of arrays"
             raise self._error(name, f"states {stored / 2**20:.0f} MB, {most} in one file")
 
-    def _stored(self, name: str) -> np.ndarray:
+    def _read_stored(self, name: str) -> np.ndarray:
         """The array, in this machine's order of bytes."""
         try:
             with self._zip.open(self._members[name]) as member, warnings.catch_warnings():
@@ -247,7 +247,7 @@ class NpzArrays:
                     raise self._error(name, problem)
 
 
-def _opened(path: str | Path) -> zipfile.ZipFile:
+def _open_zip(path: str | Path) -> zipfile.ZipFile:
     """The zip file, its directory read; its members are not."""
     content = read_bytes(path)
     if not content:

@@ -22,7 +22,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
-def shortened(text: str, max_characters: int = MAX_SENTENCE_CHARACTERS) -> str:
+def shorten_text(text: str, max_characters: int = MAX_SENTENCE_CHARACTERS) -> str:
     """Text of so many characters at most; what is left out in the middle shows as dots."""
     if len(text) <= max_characters:
         return text
@@ -45,7 +45,7 @@ class FileError(ValueError):
         self.problem = problem
 
     def __str__(self) -> str:
-        return shortened(printable(f"{self.path}: {self.problem}"))
+        return shorten_text(printable(f"{self.path}: {self.problem}"))
 
 
 class InputError(FileError):

@@ -89,7 +89,7 @@ class JsonPart:
         """An error about this part."""
         return InputError(self.path, f"{self.place}: {problem}" if self.place else problem)
 
-    def _expected(self, what: str) -> InputError:
+    def _mismatch(self, what: str) -> InputError:
         return self.error(f"found {short_repr(self.value)}, expected {what}")
 
     def has(self, key: str) -> bool:
@@ -101,7 +101,7 @@ class JsonPart:
         if isinstance(key, int):
             return JsonPart(self.path, f"{self.place}[{key}]", self.value[key])
         if not isinstance(self.value, dict):
-            raise self._expected("a JSON table")
+            raise self._mismatch("a JSON table")
         place = f"{self.place}.{key}" if self.place else key
         return JsonPart(self.path, place, self.value.get(key))
 
@@ -113,7 +113,7 @@ class JsonPart:
     def items(self) -> Sequence[Any]:
         """A list's values."""
         if not isinstance(self.value, list):
-            raise self._expected("a JSON list")
+            raise self._mismatch("a JSON list")
         return self.value
 
     def parts(self) -> Iterator["JsonPart"]:
@@ -126,32 +126,32 @@ class JsonPart:
         if isinstance(value, float) and value.is_integer():
             value = int(value)
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= _LARGEST:
-            raise self._expected(f"a whole number, {low} or more")
+            raise self._mismatch(f"a whole number, {low} or more")
         return value
 
     def index(self, of: "JsonPart") -> int:
         """The index of an entry of a list."""
         count = 0 if of.value is None else len(of.items())
         if isinstance(self.value, bool) or not isinstance(self.value, int):
-            raise self._expected(f"an index of {of.place}")
+            raise self._mismatch(f"an index of {of.place}")
         if not 0 <= self.value < count:
-            raise self._expected(f"an index of {of.place}, which has {count}")
+            raise self._mismatch(f"an index of {of.place}, which has {count}")
         return self.value
 
     def number(self, most: float) -> float:
         """A number from ``-most`` to ``most``."""
         value = self.value
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self._expected("a number")
+            raise self._mismatch("a number")
         # A whole number may be too large to be a float.
         if not -most <= value <= most or not math.isfinite(value):
-            raise self._expected(f"a number from {-most:g} to {most:g}")
+            raise self._mismatch(f"a number from {-most:g} to {most:g}")
         return float(value)
 
     def numbers(self, count: int, most: float) -> np.ndarray:
         """(count,) numbers from ``-most`` to ``most``."""
         if len(self.items()) != count:
-            raise self._expected(f"{count} numbers")
+            raise self._mismatch(f"{count} numbers")
         return np.array([part.number(most) for part in self.parts()])
 
     def text(self) -> str:
@@ -162,11 +162,11 @@ class JsonPart:
             or not value.isprintable()
             or len(value) > MAX_TEXT_CHARACTERS
         ):
-            raise self._expected(f"a text that prints, of at most {MAX_TEXT_CHARACTERS} characters")
+            raise self._mismatch(f"a text that prints, of at most {MAX_TEXT_CHARACTERS} characters")
         return value
 
     def choice(self, options: Sequence[Any]) -> Any:
         """One of some values."""
         if isinstance(self.value, list | dict) or self.value not in options:
-            raise self._expected(f"one of {comma_list(map(str, options))}")
+            raise self._mismatch(f"one of {comma_list(map(str, options))}")
         return self.value

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.formats.files.arrays import float_array
-from jaxmocap.formats.files.errors import InputError, printable, short_repr, shortened
+from jaxmocap.formats.files.errors import InputError, printable, short_repr, shorten_text
 from jaxmocap.formats.files.reading import read_bytes, regular_file
 from jaxmocap.formats.files.writing import write_text
 
@@ -146,7 +146,7 @@ class TomlTable:
 
     def __init__(self, path: Path, where: str, table: Any, keys: Collection[str] | None = None):
         """Check that it is a table with no other than the given keys (None: any)."""
-        self.path, self.where = path, shortened(printable(where), 100)
+        self.path, self.where = path, shorten_text(printable(where), 100)
         if not isinstance(table, dict):
             raise self.error("", f"found {short_repr(table)}, expected a table")
         for key in table:
@@ -156,13 +156,13 @@ class TomlTable:
 
     def error(self, key: str, problem: str) -> InputError:
         """The error to raise about one field, or with ``""`` about the table."""
-        place = " ".join(filter(None, [self.where, shortened(printable(key), 60)]))
+        place = " ".join(filter(None, [self.where, shorten_text(printable(key), 60)]))
         return InputError(self.path, f"{place}: {problem}" if place else problem)
 
     def __contains__(self, key: str) -> bool:
         return key in self.entries
 
-    def required(self, key: str) -> Any:
+    def require(self, key: str) -> Any:
         """An entry as it is; InputError where it is missing."""
         if key not in self.entries:
             raise self.error("", f"{key!r} is missing")
@@ -178,7 +178,7 @@ class TomlTable:
 
     def text(self, key: str) -> str:
         """A required text that is not empty."""
-        value = self.required(key)
+        value = self.require(key)
         if not isinstance(value, str) or not value:
             raise self.error(key, f"found {short_repr(value)}, expected text in quotes")
         return value
@@ -213,7 +213,7 @@ class TomlTable:
         high: float = LARGEST_NUMBER,
     ) -> float:
         """A number from ``low`` to ``high``; required where there is no default."""
-        value = self.required(key) if default is None else self.entries.get(key, default)
+        value = self.require(key) if default is None else self.entries.get(key, default)
         # A whole number may be too large to be a float.
         is_number = isinstance(value, (int, float)) and abs(value) <= sys.float_info.max
         if isinstance(value, bool) or not is_number:
@@ -238,7 +238,7 @@ class TomlTable:
         largest: float = LARGEST_NUMBER,
     ) -> np.ndarray:
         """A required array of numbers, of one of the shapes; none beyond ``largest``, or minus."""
-        value = self.required(key)
+        value = self.require(key)
         try:
             array = float_array(value)
         except (TypeError, ValueError, OverflowError):

@@ -167,7 +167,7 @@ def read_set(fields: TomlTable, labels: Sequence[str], skeleton: Skeleton) -> Ma
         return None
     name = fields.choice("set", set_names())
     markers, unused = set_file(name)
-    skipped = _skipped(fields, (*markers, *unused))
+    skipped = _skipped_markers(fields, (*markers, *unused))
     by_marker = _labels_by_marker(fields, labels, {*markers, *unused})
     fits = {m: "joint" not in e or e["joint"] in skeleton.tree.joints for m, e in markers.items()}
     used = [m for m in markers if fits[m] and m not in skipped]
@@ -201,7 +201,7 @@ def _size(skeleton: Skeleton) -> float:
     return float(np.asarray(skeleton.lengths, float)[bones].sum()) / (fractions * STATURE_M)
 
 
-def _skipped(fields: TomlTable, markers: Sequence[str]) -> list[str]:
+def _skipped_markers(fields: TomlTable, markers: Sequence[str]) -> list[str]:
     """``skip``: markers of the set that are left out."""
     skipped = fields.entries.get("skip", [])
     if not isinstance(skipped, list) or not all(isinstance(each, str) for each in skipped):

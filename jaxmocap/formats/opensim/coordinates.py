@@ -34,11 +34,11 @@ from jaxmocap.formats.time_series.isb import (
     LIMB_JOINTS,
     MIRROR,
     R_BONE_ISB,
+    hinge_angles,
     isb_angles,
-    made_by_hinges,
 )
 from jaxmocap.formats.time_series.mot import write_table
-from jaxmocap.geometry.euler import FREE, continuous_euler, eased_near_lock, wrapped
+from jaxmocap.geometry.euler import FREE, continuous_euler, ease_near_lock, wrap_angles
 
 # The name of this convention among those of joints.
 OPENSIM = "opensim"
@@ -109,7 +109,7 @@ def opensim_coordinates(motion: Motion) -> dict[str, np.ndarray]:
     names = [_ROOT[:3], _LUMBAR, *({"leg": _HIP, "arm": _SHOULDER}[part] for part, _ in limbs)]
     sides = ["", "", *(side for _, side in limbs)]
     ranges = np.radians([_RANGES[triple] for triple in names])
-    angles = eased_near_lock(continuous_euler(turns, "ZXY", ranges, motion.times), "ZXY")
+    angles = ease_near_lock(continuous_euler(turns, "ZXY", ranges, motion.times), "ZXY")
     columns = {
         name.format(side): column
         for triple, side, three in zip(names, sides, np.moveaxis(angles, 1, 0), strict=True)
@@ -125,7 +125,7 @@ def opensim_coordinates(motion: Motion) -> dict[str, np.ndarray]:
             R_radius = R_thorax.swapaxes(-1, -2) @ R_pelvis_bone[:, _bone(skeleton, "radius", side)]
             columns[f"elbow_flex_{side}"] = angle
             columns[f"pro_sup_{side}"] = _pronation(
-                skeleton, R_near, angle, _mirrored(R_radius, side), side
+                skeleton, R_near, angle, _mirror_left(R_radius, side), side
             )
             for ours, name in (("flexion", "wrist_flex"), ("deviation", "wrist_dev")):
                 columns[f"{name}_{side}"] = hands.get(f"wrist_{ours}_{side}", 0.0 * angle)
@@ -136,7 +136,7 @@ def _bone(skeleton: Skeleton, bone: str, side: str) -> int:
     return skeleton.tree.bone(f"{bone}_{side}")
 
 
-def _mirrored(R: np.ndarray, side: str) -> np.ndarray:
+def _mirror_left(R: np.ndarray, side: str) -> np.ndarray:
     """Rotations (T, 3, 3) of a left limb as those of a right one."""
     return MIRROR @ R @ MIRROR if side == "l" else R
 
@@ -150,7 +150,7 @@ def _limb_turns(
     bones = [_bone(skeleton, b, side) for b in (("femur", "tibia") if is_leg else
                                                 ("humerus", "radius"))]  # fmt: skip
     R_base = np.eye(3) if is_leg else R_thorax.swapaxes(-1, -2)
-    R_near, R_far = (_mirrored(R_base @ R_pelvis_bone[:, bone], side) for bone in bones)
+    R_near, R_far = (_mirror_left(R_base @ R_pelvis_bone[:, bone], side) for bone in bones)
     directions = np.asarray(skeleton.directions, float)[bones] @ R_BONE_ISB
     directions = directions @ MIRROR if side == "l" else directions
     along, beyond = R_near @ directions[0], R_far @ directions[1]
@@ -185,7 +185,7 @@ def _pronation(
 ) -> np.ndarray:
     """``pro_sup`` (T,) that points the thumb as ours does, mirrored; constant without a joint."""
     joint = next(joint for joint in LIMB_JOINTS if joint.name == "elbow")
-    if 2 not in made_by_hinges(skeleton, joint, side):
+    if 2 not in hinge_angles(skeleton, joint, side):
         return np.full(len(elbow), rajagopal.THUMB_FORWARD)
     R_ulna = R_humerus @ about(rajagopal.ELBOW_AXIS, elbow)
     axis, supine = R_ulna @ rajagopal.PRO_SUP_AXIS, R_ulna[..., 2]
@@ -193,17 +193,17 @@ def _pronation(
     sine = (axis * np.cross(supine, thumb)).sum(-1)
     cosine = (supine * thumb).sum(-1) - (axis * supine).sum(-1) * (axis * thumb).sum(-1)
     away = np.arctan2(sine, cosine) - rajagopal.THUMB_FORWARD
-    return rajagopal.THUMB_FORWARD + wrapped(away)
+    return rajagopal.THUMB_FORWARD + wrap_angles(away)
 
 
 def _foot(skeleton: Skeleton, R_pelvis_bone: np.ndarray, side: str) -> dict[str, np.ndarray]:
     """Angles (T,) about the model's oblique axes that are nearest to our foot's orientation."""
     angles = np.zeros((len(R_pelvis_bone), 2))
     joint = next(joint for joint in LIMB_JOINTS if joint.name == "ankle")
-    if made_by_hinges(skeleton, joint, side):
+    if hinge_angles(skeleton, joint, side):
         tibia, foot = (R_pelvis_bone[:, _bone(skeleton, b, side)] for b in ("tibia", "foot"))
         angles = _two_hinges(
-            _mirrored(tibia.swapaxes(-1, -2) @ foot, side),
+            _mirror_left(tibia.swapaxes(-1, -2) @ foot, side),
             rajagopal.ANKLE_AXIS,
             rajagopal.SUBTALAR_AXIS,
         )

@@ -57,7 +57,7 @@ def _positive(fields: TomlTable, key: str, default: float | None = None) -> floa
 
 
 def _one_euro(fields: TomlTable) -> OneEuroSettings | None:
-    value, default = fields.required("one_euro"), OneEuroSettings()
+    value, default = fields.require("one_euro"), OneEuroSettings()
     if isinstance(value, bool):
         return default if value else None
     table = TomlTable(fields.path, f"{fields.where} one_euro", value, ("cutoff", "beta"))

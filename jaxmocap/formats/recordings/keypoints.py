@@ -62,13 +62,13 @@ class Detections:
 
     def at_frames(self, rows: np.ndarray) -> "Detections":
         """Those of some of the frames, by rows (T,); of -1 none: NaN, and confidences of 0."""
-        return self._taken(np.arange(len(rows)), lambda part, none: _rows(part, rows, none))
+        return self._take(np.arange(len(rows)), lambda part, none: _rows(part, rows, none))
 
     def of_people(self, people: np.ndarray) -> "Detections":
         """One person of each frame, by numbers (F,); of -1 nobody."""
         frames = np.arange(len(people))
         rows = np.where(people >= 0, frames, -1)
-        return self._taken(
+        return self._take(
             self.numbers, lambda part, none: _rows(part[frames, people][:, None], rows, none)
         )
 
@@ -81,9 +81,9 @@ class Detections:
             part[frames] = part[frames][:, :, sides]
             return part
 
-        return self._taken(self.numbers, swapped)
+        return self._take(self.numbers, swapped)
 
-    def _taken(
+    def _take(
         self, numbers: np.ndarray, take: Callable[[np.ndarray, float], np.ndarray]
     ) -> "Detections":
         """With what a function takes of each array and of what stands for a missing point."""

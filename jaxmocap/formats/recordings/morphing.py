@@ -77,7 +77,7 @@ def _check_joints(row: TomlTable, tree: Tree, names: list[str], sided: bool) -> 
 
 def _check_driver(row: TomlTable, tree: Tree, sided: bool) -> Driver:
     """What steers a row, as it is written."""
-    names: Any = row.required("steered_by")
+    names: Any = row.require("steered_by")
     if not (isinstance(names, list) and len(names) in (1, 2) and set(map(type, names)) == {str}):
         raise row.error("steered_by", f"found {short_repr(names)}, expected one or two joints")
     _check_joints(row, tree, names, sided)

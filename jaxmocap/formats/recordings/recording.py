@@ -206,10 +206,10 @@ def _read_placed_markers(
 ) -> tuple[Markers, PlacedMarkers, Filters]:
     """The markers that are placed in the world's axes, where they sit, their filters."""
     keys = ("file", "up", "to_world", *SET_KEYS, "on", "filters", "rigid", "fit")
-    fields = TomlTable(top.path, "[markers]", top.required("markers"), keys)
+    fields = TomlTable(top.path, "[markers]", top.require("markers"), keys)
     file = fields.file("file")
     R_world_file = read_axes(fields)
-    given = fields.entries.get("on", {}) if "set" in fields else fields.required("on")
+    given = fields.entries.get("on", {}) if "set" in fields else fields.require("on")
     on = TomlTable(top.path, "[markers.on]", given)
     if not on.entries and "set" not in fields:
         raise on.error("", "names no marker, expected entries such as Head = { bone = 'head' }")

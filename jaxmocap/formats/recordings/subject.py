@@ -187,7 +187,7 @@ def static_landmarks(fields: TomlTable) -> dict[str, np.ndarray]:
 
 def _landmark_table(fields: TomlTable) -> TomlTable:
     """The table of landmarks."""
-    return TomlTable(fields.path, "[subject.landmarks]", fields.required("landmarks"), LANDMARKS)
+    return TomlTable(fields.path, "[subject.landmarks]", fields.require("landmarks"), LANDMARKS)
 
 
 def _by_static_trial(fields: TomlTable) -> Skeleton:

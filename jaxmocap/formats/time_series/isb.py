@@ -52,7 +52,7 @@ import numpy as np
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.orientations import body_turns, matrices
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.geometry.euler import FREE, continuous_euler, eased_near_lock
+from jaxmocap.geometry.euler import FREE, continuous_euler, ease_near_lock
 from jaxmocap.geometry.rows import ComputedRows, Index
 
 # Our axes (x forward, y left, z up) hold ISB's x, y, z in these columns; the world's alike.
@@ -108,7 +108,7 @@ def isb_angles(motion: Motion) -> dict[str, np.ndarray]:
     for joint, side in [(joint, "") for joint in TRUNK_JOINTS] + [
         (j, s) for s in "rl" for j in LIMB_JOINTS
     ]:
-        if kept := made_by_hinges(motion.skeleton, joint, side):
+        if kept := hinge_angles(motion.skeleton, joint, side):
             wanted.append((joint, side, kept))
     angles = _euler_angles(motion, [(joint, side) for joint, side, _ in wanted])
     columns = {}
@@ -127,7 +127,7 @@ def _turns(motion: Motion, joints: list[tuple[Joint, str]], rows: Index) -> np.n
     R_world_pelvis = matrices(np.asarray(motion.poses.quaternion)[rows].astype(float))
     turns = []
     for joint, side in joints:
-        near, far = (_sided(skeleton, b, side) for b in (joint.proximal, joint.distal))
+        near, far = (_bone_of_side(skeleton, b, side) for b in (joint.proximal, joint.distal))
         R_far = _segment(skeleton, R_pelvis_bone, far)
         if joint in PELVIS_JOINT:
             turns.append(_in_isb(joint, side, R_world_pelvis @ R_far))
@@ -158,15 +158,15 @@ def _euler_angles(motion: Motion, joints: list[tuple[Joint, str]]) -> list[np.nd
         turns = partial(_turns, motion, [joints[i] for i in alike])
         R = ComputedRows((len(motion.times), len(alike), 3, 3), turns)
         angles = continuous_euler(R, order, ranges, motion.times)
-        for i, column in zip(alike, np.moveaxis(eased_near_lock(angles, order), 1, 0), strict=True):
+        for i, column in zip(alike, np.moveaxis(ease_near_lock(angles, order), 1, 0), strict=True):
             found[i] = column
     return found
 
 
-def made_by_hinges(skeleton: Skeleton, joint: Joint, side: str = "") -> tuple[int, ...]:
+def hinge_angles(skeleton: Skeleton, joint: Joint, side: str = "") -> tuple[int, ...]:
     """Which of a joint's three angles the skeleton's hinges can make."""
     tree = skeleton.tree
-    near, far = (_sided(skeleton, bone, side) for bone in (joint.proximal, joint.distal))
+    near, far = (_bone_of_side(skeleton, bone, side) for bone in (joint.proximal, joint.distal))
     above, below = (set(tree.chain(bone) if bone else ()) for bone in (near, far))
     between = below - above
     hinges = [d for d, bone in enumerate(tree.dof_bones) if bone in between]
@@ -175,7 +175,7 @@ def made_by_hinges(skeleton: Skeleton, joint: Joint, side: str = "") -> tuple[in
     return tuple(k for k, axis in enumerate(joint.order) if about["XYZ".index(axis)] > 1e-6)
 
 
-def _sided(skeleton: Skeleton, bone: str | None, side: str) -> str | None:
+def _bone_of_side(skeleton: Skeleton, bone: str | None, side: str) -> str | None:
     """A segment's bone: that of a side where there are two."""
     if bone is None or bone in skeleton.tree.bones:
         return bone

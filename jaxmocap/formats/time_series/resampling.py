@@ -22,7 +22,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.formats.armatures.armature import Armature
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.tables import Markers
-from jaxmocap.geometry.rows import ComputedRows, Index, Rows, row_blocks, taken
+from jaxmocap.geometry.rows import ComputedRows, Index, Rows, row_blocks, take_rows
 
 # Numbers that may come of any recording, and at most: half an hour of a body at 200 Hz is 81
 # million, 0.65 GB.
@@ -90,7 +90,7 @@ def interpolation_at(times: np.ndarray, new_times: np.ndarray) -> Interpolation:
     return Interpolation(before, after, fraction, gap_after[before] & (before < after))
 
 
-def resampled_markers(markers: Markers, times: np.ndarray) -> Markers:
+def resample_markers(markers: Markers, times: np.ndarray) -> Markers:
     """Markers at (N,) other times; their residuals are dropped."""
     at = interpolation_at(markers.times, times)
     orientations = None if markers.orientations is None else slerp(markers.orientations, at)
@@ -126,7 +126,7 @@ def slerp(R: Rows, at: Interpolation) -> np.ndarray:
     return R_then
 
 
-def resampled_armature(armature: Armature, times: np.ndarray) -> Armature:
+def resample_armature(armature: Armature, times: np.ndarray) -> Armature:
     """An armature at (N,) other times."""
     at = interpolation_at(armature.times, times)
     rotations = ComputedRows(
@@ -137,7 +137,7 @@ def resampled_armature(armature: Armature, times: np.ndarray) -> Armature:
     return replace(armature, times=times, positions=positions, rotations=rotations)
 
 
-def resampled_motion(motion: Motion, times: np.ndarray) -> Motion:
+def resample_motion(motion: Motion, times: np.ndarray) -> Motion:
     """A motion at (N,) other times; its report is dropped."""
     at = interpolation_at(motion.times, times)
     position, quaternion, angles = (np.asarray(part, float) for part in motion.poses)
@@ -168,5 +168,5 @@ def hold_across_gaps(armature: Armature) -> Armature:
         armature,
         times=np.insert(times, before + 1, times[before + 1] - interval),
         positions=armature.positions[order],
-        rotations=taken(armature.rotations, order),
+        rotations=take_rows(armature.rotations, order),
     )

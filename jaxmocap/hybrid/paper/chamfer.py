@@ -69,8 +69,8 @@ class Chamfer(EdgeEvidence):
         """Equation (13), metres, of limbs (..., 3), a pixel measured at the start's depth."""
         unit = {"softness": self.softness, "at_depth": mean_depth(camera, start)}
         if not self.drawn:
-            return integrated_distance(camera, region, fields, limbs, **unit)
-        of_place = partial(drawn_distance, camera, region, fields, **unit)
+            return integrate_distance(camera, region, fields, limbs, **unit)
+        of_place = partial(draw_distance, camera, region, fields, **unit)
         for _ in range(limbs.near.ndim - 2):
             of_place = jax.vmap(of_place)
         return of_place(limbs)
@@ -103,7 +103,7 @@ def chamfer_sum(
     return jnp.sum(coverage * jnp.min(fields, 0))
 
 
-def drawn_distance(
+def draw_distance(
     camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array, at_depth: Array
 ) -> Array:
     """Equation (13) over the area that the limbs would cover side on: metres.
@@ -135,10 +135,10 @@ def side_on_area(limbs: Cones) -> Array:
     return jnp.sum(lengths * jnp.sum(limbs.radii, -1), -1)
 
 
-def integrated_distance(
+def integrate_distance(
     camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array, at_depth: Array
 ) -> Array:
-    """``drawn_distance`` by few points: metres.
+    """``draw_distance`` by few points: metres.
 
     Args:
         camera: that sees the arm.
@@ -148,7 +148,7 @@ def integrated_distance(
         softness: of the borders where one limb covers another, samples.
         at_depth: () at which a pixel is measured, metres.
     """
-    areas, distances_px = _sampled(camera, region, fields, limbs, softness, smoothly=False)
+    areas, distances_px = _sample_limbs(camera, region, fields, limbs, softness, smoothly=False)
     total = jnp.sum(areas.weights * distances_px, (0, 1)) * at_depth**2
     return total / side_on_area(limbs) / pixels_per_metre(camera, at_depth)
 
@@ -168,7 +168,7 @@ def trace_area(
         softness: of the borders where one limb covers another, samples.
         at_depth: () at which a pixel is measured, metres.
     """
-    areas, distances_px = _sampled(camera, region, fields, limbs, softness, smoothly=True)
+    areas, distances_px = _sample_limbs(camera, region, fields, limbs, softness, smoothly=True)
     return TracedOutline(
         jnp.stack([areas.x, areas.y], -1).swapaxes(0, 1),
         distances_px.T,
@@ -177,7 +177,7 @@ def trace_area(
     )
 
 
-def _sampled(
+def _sample_limbs(
     camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array, smoothly: bool
 ) -> tuple[Areas, Array]:
     """Points (K, 3, ...) over limbs (..., 3), each place counted once, and their distances, px."""

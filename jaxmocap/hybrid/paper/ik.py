@@ -18,7 +18,7 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.evidence.expansion import linearised_term
+from jaxmocap.evidence.expansion import linearise_term
 from jaxmocap.evidence.posture import effort_shares
 from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
@@ -81,10 +81,10 @@ def ik_step(
         gain: factor on the secondary task and the secondary goals.
     """
     first = _effectors(model, settings.terms, measured, pose)
-    return *_stepped(model, settings, measured, pose, free, first, gain), first.missed
+    return *_take_step(model, settings, measured, pose, free, first, gain), first.missed
 
 
-def _stepped(
+def _take_step(
     model: Model,
     settings: IKSettings,
     measured: Measurements,
@@ -120,7 +120,7 @@ def _effectors(
     """The residuals of terms about a pose; lengths are clamped to a tenth of an arm (4.1)."""
     rows, errors, missed = [], [], [jnp.zeros((), pose.angles.dtype)]
     for term in terms:
-        r, J = linearised_term(term, model, pose, measured)
+        r, J = linearise_term(term, model, pose, measured)
         r, J = _three_vectors(r), _three_vectors(J, derivatives=True)
         if not r.size:
             continue
@@ -186,7 +186,7 @@ def reach(
         gain = jnp.where(count < settings.following, 1.0, 0.0) if follows else 1.0
 
         def step() -> tuple[Pose, Array]:
-            return _stepped(model, settings, measured, pose, moving, first, gain)
+            return _take_step(model, settings, measured, pose, moving, first, gain)
 
         pose, moved = jax.lax.cond(met, lambda: (pose, moved), step)
         return count + jnp.where(met, 0, 1), pose, moved, met

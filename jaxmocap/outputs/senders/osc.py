@@ -36,7 +36,7 @@ class Sender(ABC):
         The deviations (2,) are those of left and right elbow, metres; NaN unstated.
         """
 
-    def lost(self, time: float) -> Sequence[bytes]:
+    def lost_messages(self, time: float) -> Sequence[bytes]:
         """Those for a moment at which nobody is tracked."""
         return ()
 
@@ -86,7 +86,7 @@ class Bundle:
         self._words = np.frombuffer(self._datagram, ">f4")
         self._places = np.array(places, int)
 
-    def filled(self, *numbers: np.ndarray | float) -> bytes:
+    def fill(self, *numbers: np.ndarray | float) -> bytes:
         """The datagram with these floats in the order of the messages."""
         self._words[self._places] = np.concatenate([np.ravel(part) for part in numbers])
         return bytes(self._datagram)

@@ -64,11 +64,11 @@ class VMC(Sender):
         parts: list[list] = [[bones[start : start + BONES_IN_BUNDLE]] for start in self._starts]
         stated = np.where(np.isfinite(deviations), deviations, -1.0)
         parts[-1] += [stated, np.array(_IDENTITY), time]
-        return [bundle.filled(*part) for bundle, part in zip(self._tracked, parts, strict=True)]
+        return [bundle.fill(*part) for bundle, part in zip(self._tracked, parts, strict=True)]
 
-    def lost(self, time: float) -> list[bytes]:
+    def lost_messages(self, time: float) -> list[bytes]:
         """The bundle for a moment at which nobody is tracked."""
-        return [self._lost.filled(time)]
+        return [self._lost.fill(time)]
 
 
 @dataclass(frozen=True)

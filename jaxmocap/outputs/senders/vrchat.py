@@ -57,7 +57,7 @@ class Trackers(Sender):
         """The bundle of a pose's joints in their parents; VRChat takes no deviations."""
         world = self._body.in_world(local)
         degrees = euler_degrees(world.quaternions[self._rotation_joints])
-        return [self._bundle.filled(np.hstack([world.positions[self._position_joints], degrees]))]
+        return [self._bundle.fill(np.hstack([world.positions[self._position_joints], degrees]))]
 
 
 @dataclass(frozen=True)

@@ -34,11 +34,11 @@ MAX_ANSWER_BYTES = 2**16
 
 def mediapipe_detector(python: str, timeout_s: float = TIMEOUT_S) -> Detector:
     """The detector of an environment's Python, which may take so long to start and for a frame."""
-    return Detector(MODEL, lambda: _opened(python, timeout_s))
+    return Detector(MODEL, lambda: _open_process(python, timeout_s))
 
 
 @contextmanager
-def _opened(python: str, timeout_s: float) -> Iterator[Detect]:
+def _open_process(python: str, timeout_s: float) -> Iterator[Detect]:
     """A process for one video: it follows the person from frame to frame.
 
     Raises:
@@ -57,23 +57,23 @@ def _opened(python: str, timeout_s: float) -> Iterator[Detect]:
         with process:
             try:
                 assert process.stdin is not None and process.stdout is not None
-                with _limited(python, process, timeout_s):
+                with _limit_time(python, process, timeout_s):
                     line = process.stdout.readline(MAX_ANSWER_BYTES)
                 if line.decode(errors="replace").strip() != READY:
-                    raise _ended(python, process, errors)
+                    raise _end_reason(python, process, errors)
 
                 def detect(image: np.ndarray, _: np.ndarray) -> np.ndarray | None:
                     assert process.stdin is not None and process.stdout is not None
-                    with _limited(python, process, timeout_s):
+                    with _limit_time(python, process, timeout_s):
                         try:
                             process.stdin.write(np.array(image.shape[:2], "<u4").tobytes())
                             process.stdin.write(np.ascontiguousarray(image).tobytes())
                             process.stdin.flush()
                         except OSError:
-                            raise _ended(python, process, errors) from None
+                            raise _end_reason(python, process, errors) from None
                         line = process.stdout.readline(MAX_ANSWER_BYTES)
                     if not line:
-                        raise _ended(python, process, errors)
+                        raise _end_reason(python, process, errors)
                     return _points(python, line)
 
                 yield detect
@@ -82,7 +82,9 @@ def _opened(python: str, timeout_s: float) -> Iterator[Detect]:
 
 
 @contextmanager
-def _limited(python: str, process: "subprocess.Popen[bytes]", timeout_s: float) -> Iterator[None]:
+def _limit_time(
+    python: str, process: "subprocess.Popen[bytes]", timeout_s: float
+) -> Iterator[None]:
     """End a process that takes longer; InputError then, whatever was raised within."""
     late = threading.Event()
 
@@ -116,7 +118,7 @@ def _points(python: str, line: bytes) -> np.ndarray | None:
     raise InputError(python, f"{problem}, expected {expected[0]} times 6 numbers")
 
 
-def _ended(python: str, process: "subprocess.Popen[bytes]", errors) -> InputError:
+def _end_reason(python: str, process: "subprocess.Popen[bytes]", errors) -> InputError:
     """What its last line says about why the process ended."""
     process.kill()
     process.wait()

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.images.crops import cropped
+from jaxmocap.images.crops import crop_image
 from jaxmocap.pipelines.keypoints.detect import Detect, Detector
 
 # What these networks are trained with: RGB, 0 to 255.
@@ -52,7 +52,7 @@ def onnx_detector(path: Path) -> Detector:
 
     @contextmanager
     def opened() -> Iterator[Detect]:
-        yield lambda image, box: _detected(session, image, box, size, bins_per_pixel)
+        yield lambda image, box: _detect_person(session, image, box, size, bins_per_pixel)
 
     return Detector(model, opened)
 
@@ -71,7 +71,7 @@ def _session(path: Path) -> Any:
         raise InputError(path, f"cannot be read as ONNX ({first})") from None
 
 
-def _detected(
+def _detect_person(
     session: Any,
     image: np.ndarray,
     box: np.ndarray,
@@ -79,7 +79,7 @@ def _detected(
     bins_per_pixel: tuple[float, float],
 ) -> np.ndarray | None:
     """(K, 3) pixels and confidences of the person in a box; None where nobody is."""
-    crop = cropped(image, box, size)
+    crop = crop_image(image, box, size)
     pixels = (crop.image[..., ::-1] - MEAN) / DEVIATION
     given = {session.get_inputs()[0].name: np.moveaxis(pixels, -1, 0)[None].astype(np.float32)}
     along = [np.asarray(part)[0] for part in session.run(None, given)]

@@ -137,7 +137,7 @@ class _Listening:
                 return False
             missing = set(self._setup.marker_names)
             if recent := self._recent():
-                has_come = np.isfinite(_stacked(recent)[0]).all(-1).any(0)
+                has_come = np.isfinite(_stack_samples(recent)[0]).all(-1).any(0)
                 missing -= {self._setup.marker_names[i] for i in np.flatnonzero(has_come)}
         if missing == set(self._setup.marker_names):
             raise OutputError(
@@ -165,7 +165,7 @@ class _Listening:
             recent = self._recent()
             if len(recent) < MIN_SAMPLES or recent[-1].arrived - recent[0].arrived < 0.9 * STILL_S:
                 continue
-            samples = _stacked(recent)
+            samples = _stack_samples(recent)
             problem = _movement(self._setup, *samples)
             if not problem:
                 return samples
@@ -177,7 +177,7 @@ class _Listening:
         return [each for each in newest if self.now() - each.arrived < STILL_S]
 
 
-def _stacked(samples: list[MarkerSample]) -> tuple[np.ndarray, np.ndarray]:
+def _stack_samples(samples: list[MarkerSample]) -> tuple[np.ndarray, np.ndarray]:
     """Positions (T, M, 3), metres, and R_world_marker (T, M, 3, 3); NaN where missing."""
     measured = [each.measurements for each in samples if each.measurements is not None]
     return (
@@ -226,17 +226,19 @@ def _put_into(setup: LiveSetup, result: StandingCalibration) -> None:
         for name, entry in top["markers"]["on"].items():
             changes: dict[str, Any] = {}
             if name in result.orientations and entry.get("turn") is not False:
-                changes["turn"] = _rounded("turn", result.orientations[name])
+                changes["turn"] = _round_value("turn", result.orientations[name])
             if name in result.offsets:
-                changes["offset"] = _rounded("offset", result.offsets[name])
+                changes["offset"] = _round_value("offset", result.offsets[name])
             if changes:
                 text = _with_marker(text, name, {**entry, **changes}, changes)
         if result.height is not None:
-            text = replace_entries(text, "subject", {"height": _rounded("height", result.height)})
+            text = replace_entries(
+                text, "subject", {"height": _round_value("height", result.height)}
+            )
         if result.lengths:
             bones = top.get("subject", {}).get("bones", {})
             lengths = {
-                name: {**bones.get(name, {}), "length": _rounded("length", length)}
+                name: {**bones.get(name, {}), "length": _round_value("length", length)}
                 for name, length in result.lengths.items()
             }
             text = replace_entries(text, ("subject", "bones"), lengths)
@@ -254,7 +256,7 @@ def _with_marker(text: str, name: str, entry: Mapping[str, Any], changes: Mappin
         return replace_entries(text, ("markers", "on"), {name: dict(entry)})
 
 
-def _rounded(key: str, value: Any) -> Any:
+def _round_value(key: str, value: Any) -> Any:
     return np.round(value, _DECIMALS[key]).tolist()
 
 
@@ -264,16 +266,16 @@ def _summary(setup: LiveSetup, result: StandingCalibration) -> list[str]:
     if result.height is not None:
         stated = (setup.subject or {}).get("height")
         before = f", {stated:g} m before" if isinstance(stated, (int, float)) else ""
-        lines.append(f"height = {_rounded('height', result.height)} m{before}")
+        lines.append(f"height = {_round_value('height', result.height)} m{before}")
     if result.lengths:
         arm = sum(length for name, length in result.lengths.items() if name.endswith("_l"))
         lines.append(f"arms: {100 * arm:.1f} cm from shoulder to wrist")
     for name in setup.marker_names:
         measured = []
         if name in result.orientations:
-            measured.append(f"turn = {toml_value(_rounded('turn', result.orientations[name]))}")
+            measured.append(f"turn = {toml_value(_round_value('turn', result.orientations[name]))}")
         if name in result.offsets:
-            measured.append(f"offset = {toml_value(_rounded('offset', result.offsets[name]))}")
+            measured.append(f"offset = {toml_value(_round_value('offset', result.offsets[name]))}")
         if measured:
             lines.append(f"{name}: {', '.join(measured)}")
     return [*lines, *(f"warning: {each}" for each in result.warnings), f"written  {setup.path}"]

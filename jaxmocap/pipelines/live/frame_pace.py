@@ -22,7 +22,7 @@ class FramePace:
     def __init__(self) -> None:
         self._behind, self._last_frame = 0.0, -math.inf
 
-    def spent(self, worked: float, passed: float) -> None:
+    def count_work(self, worked: float, passed: float) -> None:
         """Count seconds of work among so many that passed."""
         behind = self._behind + worked - MOST_BUSY * passed
         self._behind = min(max(behind, 0.0), FORGOTTEN * MOST_BEHIND_S)

@@ -219,10 +219,10 @@ class Live:
         if now - self._newest_sample > SILENT_S and now - self._last_heartbeat > HEARTBEAT_S:
             self._last_heartbeat = now
             for sender, to in self._senders:
-                to.send(sender.lost(now))
+                to.send(sender.lost_messages(now))
         self._update_status(now)
         if self._pace is not None:
-            self._pace.spent(self._now() - took, self._now() - began)
+            self._pace.count_work(self._now() - took, self._now() - began)
 
     def _send(self, output: Output) -> None:
         local = self._body.local(output.pose)

@@ -41,7 +41,7 @@ class Stop(threading.Event):
 
 
 @contextmanager
-def stopped_by_signals() -> Iterator[Stop]:
+def stop_on_signals() -> Iterator[Stop]:
     """An event that the signals set; a second Ctrl-C interrupts as ever.
 
     Signals that are ignored stay so, as ``nohup`` wants it. Outside the main thread, which alone
@@ -98,7 +98,7 @@ def run_live(
     setup = _load(path, out, status)
     calibration: dict[str, Any] = {}
     if calibrate is not None:
-        with stopped_by_signals() as stop:
+        with stop_on_signals() as stop:
             calibration = calibrate_live(setup, calibrate, status, stop, countdown)
         if not calibration:
             raise Terminated if stop.terminated else KeyboardInterrupt
@@ -110,7 +110,7 @@ def run_live(
             setup, settings or Settings(), smooth=smooth, out=out, viewer=viewer, status=status
         )
         ending.callback(live.close)
-        with stopped_by_signals() as stop:
+        with stop_on_signals() as stop:
             figures = live.run(seconds, stop)
         return figures | {"terminated": stop.terminated, "calibration": calibration or None}
 

@@ -128,8 +128,8 @@ def _places(on: TomlTable, source: SourceTable) -> tuple[MarkerPlace, ...]:
 def _on(top: TomlTable) -> TomlTable:
     """The table [markers.on], its names checked."""
     keys = ("up", "to_world", "on", "filters")
-    fields = TomlTable(top.path, "[markers]", top.required("markers"), keys)
-    on = TomlTable(top.path, "[markers.on]", fields.required("on"))
+    fields = TomlTable(top.path, "[markers]", top.require("markers"), keys)
+    on = TomlTable(top.path, "[markers.on]", fields.require("on"))
     if not on.entries:
         raise on.error("", "names no marker, expected entries such as Hmd = { bone = 'head' }")
     if len(on.entries) > MAX_MARKERS:

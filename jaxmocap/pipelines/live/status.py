@@ -20,7 +20,7 @@ from jaxmocap.capture.streams.cameras import LiveCamera
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.senders import TokenBucket
 from jaxmocap.capture.streams.source import MarkerSource
-from jaxmocap.formats.files.errors import comma_list, printable, short_name, shortened
+from jaxmocap.formats.files.errors import comma_list, printable, short_name, shorten_text
 from jaxmocap.formats.recordings.marker_places import MarkerPlace
 
 # Messages that are kept: of the first ones.
@@ -95,7 +95,7 @@ class LiveStatus:
 
     def log(self, now: float, sentence: str) -> None:
         """Print a message with its time."""
-        message = {"seconds": round(now, 3), "what": shortened(printable(sentence))}
+        message = {"seconds": round(now, 3), "what": shorten_text(printable(sentence))}
         self.message_count += 1
         (self._first if len(self._first) < FIRST_KEPT else self._newest).append(message)
         self._print(f"{self._clear()}{now:8.2f} s  {message['what']}\n")
@@ -220,7 +220,7 @@ def _orientation_states(
     gathering: SampleAssembler, places: Sequence[MarkerPlace]
 ) -> Iterator[tuple[str, str]]:
     """Orientations that come and are not used, and those that are and do not come."""
-    placed, oriented = gathering.placed(), gathering.oriented()
+    placed, oriented = gathering.placed_markers(), gathering.oriented_markers()
     unused = [p.name for p in places if not p.needs_orientation and p.name in oriented]
     if unused:
         how = "'jaxmocap live LIVE.toml --calibrate' measures how they are held"

@@ -180,7 +180,9 @@ class LiveTracking:
                 return []
             self._state = self.tracker.init(sample.positions_world)
         if not self.is_ready:
-            pose, _ = self._taken(self.tracker.solve(self._state, self._with_gaps_filled(sample)))
+            pose, _ = self._take_report(
+                self.tracker.solve(self._state, self._with_gaps_filled(sample))
+            )
             return [self._output(sample.time, pose, np.full(2, np.nan), sample.arrived)]
         if self._smoother is not None:
             return self._in_order([sample])
@@ -224,10 +226,10 @@ class LiveTracking:
         """One step of the tracker."""
         assert self._state is not None
         if self._smoother is None:
-            return self._taken(self.tracker.step(self._state, time, markers_world, images))
-        return self._taken(self.tracker.solve(self._state, markers_world))
+            return self._take_report(self.tracker.step(self._state, time, markers_world, images))
+        return self._take_report(self.tracker.solve(self._state, markers_world))
 
-    def _taken(self, step: tuple[State, Pose, StepReport]) -> tuple[Pose, StepReport]:
+    def _take_report(self, step: tuple[State, Pose, StepReport]) -> tuple[Pose, StepReport]:
         """What the tracker found; its state is kept, where the next step wants it."""
         self._state, *found = step
         pose, report = jax.tree.map(np.asarray, found)
@@ -249,10 +251,10 @@ class LiveTracking:
     def _release(self, until: float) -> list[Output]:
         outputs = []
         while self._pending and self._pending[0].time <= until:
-            outputs += self._smoothed(self._pending.pop(0))
+            outputs += self._smooth_event(self._pending.pop(0))
         return outputs
 
-    def _smoothed(self, event: MarkerSample | LiveFrame) -> list[Output]:
+    def _smooth_event(self, event: MarkerSample | LiveFrame) -> list[Output]:
         """One event through tracker and smoother."""
         assert self._smoother is not None
         if event.time <= self._last:

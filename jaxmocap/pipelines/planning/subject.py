@@ -26,8 +26,8 @@ from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.smoothing.facing import references
 from jaxmocap.smoothing.problem import SmoothingProblem, Views
-from jaxmocap.smoothing.settings import SmoothingSettings, weighed_by_time
-from jaxmocap.smoothing.uncertainty import counted_once
+from jaxmocap.smoothing.settings import SmoothingSettings, weigh_by_time
+from jaxmocap.smoothing.uncertainty import count_once
 from jaxmocap.synthetic.movements.motions import Performance
 from jaxmocap.synthetic.recording import marker_places
 
@@ -128,5 +128,5 @@ def _sites(skeleton: Skeleton, sites: Sites, pose: Pose) -> jax.Array:
 def settings_for(model: Model, settings: SmoothingSettings, moments: Movement) -> SmoothingSettings:
     """With errors that are alike counted once."""
     times = np.asarray(moments.times, float)
-    weighted = weighed_by_time(settings, times)
-    return counted_once(SmoothingProblem(model, weighted, times, {}, Views.no_cameras()))
+    weighted = weigh_by_time(settings, times)
+    return count_once(SmoothingProblem(model, weighted, times, {}, Views.no_cameras()))

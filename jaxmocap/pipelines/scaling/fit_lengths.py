@@ -12,7 +12,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.proportions import LENGTHS, scaled
+from jaxmocap.body.proportions import LENGTHS, scale_skeleton
 from jaxmocap.body.skeleton import Skeleton, scale_to_height, with_wrists
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.calibration.fitting.lengths import LengthsFit, fit_lengths
@@ -25,7 +25,7 @@ from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.scaling.lengths_report import LengthsReport, plot_lengths
 from jaxmocap.pipelines.tracking.events import RecordingEvents, open_recording
-from jaxmocap.pipelines.tracking.first_pass import scanned
+from jaxmocap.pipelines.tracking.first_pass import scan_events
 from jaxmocap.pipelines.tracking.track import with_sight_lines
 from jaxmocap.smoothing.batch import FINELY, solve_recording
 
@@ -56,7 +56,7 @@ def scale_by_recording(
     stated = recording.skeleton
     # The girths are those of clothes and headset, which the file is not to hold.
     lengths = fit.logarithms[: len(LENGTHS)]
-    person = scaled(stated, jnp.asarray(lengths, stated.lengths.dtype))
+    person = scale_skeleton(stated, jnp.asarray(lengths, stated.lengths.dtype))
     tall = skeleton_stature(stated) if height is None else height
     report = LengthsReport.of(stated, person, tall, fit, Path(out))
     write_subject(out, person, tall, report.lines())
@@ -73,7 +73,7 @@ def fit_recording(recording: Recording, progress: Progress | bool | None = None)
         events = RecordingEvents.of(opened.recording, opened.videos, "own", opened.cleaning)
         part = lambda done, total: show(round(36 * done / total), 100)  # noqa: E731
         with forward_readers(opened.videos) as readers:
-            first = scanned(events, tracker, readers, part, clock)
+            first = scan_events(events, tracker, readers, part, clock)
         solved = solve_recording(
             tracker.model,
             tracker.settings.smoothing,

@@ -116,11 +116,11 @@ def demonstrate_silhouettes(
     truth = recording_folder.path / "truth.trc"
     before, files, own = None, [], None
     if person is not None:
-        motion = tracked_from_truth(recording, truth, progress).motion
+        motion = track_from_truth(recording, truth, progress).motion
         before = evaluate(motion, truth, JOINTS), bend_errors_deg(motion, truth)
         files += photograph_and_model(folder, person, seed)
         recording, own = with_model(recording, folder / "model")
-    result = tracked_from_truth(recording, truth, progress, own)
+    result = track_from_truth(recording, truth, progress, own)
     errors = evaluate(result.motion, truth, JOINTS)
     off = bend_errors_deg(result.motion, truth)
 
@@ -146,7 +146,7 @@ def photograph_and_model(folder: Path, person: str, seed: int) -> list[Path]:
     return model.write(partial(write_model, model_from(files, calibration, model.path)))
 
 
-def tracked_from_truth(
+def track_from_truth(
     recording: Recording, truth: Path, progress: bool, own: Person | None = None
 ) -> SilhouetteResult:
     """Track from the truth's first pose, with the person's own model where there is one."""

@@ -56,7 +56,7 @@ class ModelResult(NamedTuple):
             for name in bones._fields
         }
         lengths = {name: round(length, 4) for name, length in self.model.lengths().items()}
-        around = {name: section.rounded() for name, section in girths(self.model).items()}
+        around = {name: section.to_millimetres() for name, section in girths(self.model).items()}
         seconds = round(self.seconds, 2)
         return {
             "reading": self.reading, "lengths_m": lengths, "girths_m": around, "joints_m": joints,
@@ -131,7 +131,7 @@ def write_model(modelled: ModelResult, directory: Path) -> list[Path]:
     write_figures(modelled.figures(), files[1])
     for name, picture in pictures(modelled).items():
         files.append(write_picture(directory / f"{name}.png", picture))
-    views = [drawing.shaded(vertices, faces, turn) for turn in (0.0, 0.8)]
+    views = [drawing.shade_mesh(vertices, faces, turn) for turn in (0.0, 0.8)]
     tall = max(len(view) for view in views)
     views = [np.pad(v, ((0, tall - len(v)), (0, 0), (0, 0)), constant_values=245) for v in views]
     files.append(write_picture(directory / "model.png", np.hstack(views)))
@@ -142,7 +142,8 @@ def pictures(modelled: ModelResult) -> dict[str, np.ndarray]:
     """Photograph -> what was found in it: rim, skeletons, joints, slices."""
     model, views = modelled.model, modelled.views
     drawn = {
-        name: drawing.outlined(image, views[name].mask) for name, image in modelled.images.items()
+        name: drawing.draw_outline(image, views[name].mask)
+        for name, image in modelled.images.items()
     }
     for name in ("front", "side"):
         rings = [views[name].pixels(ring) for ring in model.trunk.rings[::DRAWN]]

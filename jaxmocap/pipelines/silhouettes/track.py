@@ -204,7 +204,7 @@ def track_silhouettes(
         "tracker": constants.settings,
     }
     tracked = perf_counter()
-    shape, (poses, deviations) = result.body.shape, result.smoothed(constants)
+    shape, (poses, deviations) = result.body.shape, result.smooth(constants)
     spent = {"passes": tracked - began, "smoothing": perf_counter() - tracked}
     described |= {"video_frames": len(footage.times), "seconds": spent}
     off = None

@@ -65,7 +65,7 @@ def recording_of_video(
 
     def write(place: StandingCamera, keypoints: bool) -> None:
         with out.writing() as stage:
-            write_calibration(stage / CALIBRATION, {CAMERA: place.placed(lens)})
+            write_calibration(stage / CALIBRATION, {CAMERA: place.stand_camera(lens)})
             entry = {"file": os.path.relpath(video, out.path), "camera": CAMERA}
             entry |= {"keypoints": f"{KEYPOINTS}/{CAMERA}.json"} if keypoints else {}
             write_recording(stage / RECORDING, None, {}, [entry], CALIBRATION, {"height": height})

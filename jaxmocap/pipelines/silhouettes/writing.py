@@ -106,7 +106,7 @@ def _write_pictures(
         )
         files = write_overlays(motion, recording, videos, folder, {}, counter)
         # The person tinted as segmented, and the body over that.
-        segmented = lambda name, frames: tinted(frames, result.masks[name])  # noqa: E731
+        segmented = lambda name, frames: tint_frames(frames, result.masks[name])  # noqa: E731
         where = motion, recording, videos, folder, {}, counter
         files += write_overlays(*where, VIDEO_KINDS[1], segmented)
         files.append(folder / "recording.rrd")
@@ -127,7 +127,7 @@ def _skin(result: SilhouetteResult, person: Person | None) -> tuple[Surface, byt
     return coarser(result.surface, nodes, SKIN_M), None
 
 
-def tinted(frames: Iterable[TimedImage], masks: Masks) -> Iterator[TimedImage]:
+def tint_frames(frames: Iterable[TimedImage], masks: Masks) -> Iterator[TimedImage]:
     """The frames, the person's pixels in another colour; as they are where nobody was segmented."""
     for time, image in frames:
         k = int(np.argmin(np.abs(masks.times - time)))

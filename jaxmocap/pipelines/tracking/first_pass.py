@@ -37,7 +37,7 @@ from jaxmocap.smoothing.functions import Events
 from jaxmocap.smoothing.problem import FirstPass
 
 
-def scanned(
+def scan_events(
     events: RecordingEvents,
     tracker: HybridTracker,
     readers: Sequence[ForwardReader],
@@ -69,7 +69,7 @@ def scanned(
     return _first_pass(events, poses, reports, about)
 
 
-def stepped(
+def step_events(
     events: RecordingEvents,
     tracker: HybridTracker,
     readers: Sequence[ForwardReader],
@@ -88,7 +88,7 @@ def stepped(
     for event, time in enumerate(events.times):
         began = perf_counter() if event else began
         own, markers = Clock(), events.markers_world[event]
-        images = own.timed("decode", _images_at, line.frame_index[event], readers)
+        images = own.time_stage("decode", _images_at, line.frame_index[event], readers)
         if smoother is None:
             state, pose, report = tracker.step(state, time, markers, images, own)
         else:
@@ -98,8 +98,8 @@ def stepped(
         if smoother is not None:
             # Between the samples markers are extrapolated, which the smoother does better.
             there = markers if line.sample_index[event] >= 0 else np.nan * markers
-            lines = own.timed("lines", _lines_at, events, event, keypoints, report.marker_pose)
-            final += own.timed("smooth", smoother.step, time, there, images, report, lines)
+            lines = own.time_stage("lines", _lines_at, events, event, keypoints, report.marker_pose)
+            final += own.time_stage("smooth", smoother.step, time, there, images, report, lines)
         _keep_stages(clock, own, 1e3 * (perf_counter() - began), not event, images)
         steps.append((pose, report))
         about.append((*step_warnings(report), *events.image_warnings(event, images)))
@@ -198,7 +198,7 @@ def first_pass(
     used = opened.videos if tracker.model.camera_count else []
     events = RecordingEvents.of(opened.recording, used, "own", opened.cleaning)
     with progress_bar("tracking", progress) as show, forward_readers(used) as readers:
-        found = scanned(events, tracker, readers, show, Clock())
+        found = scan_events(events, tracker, readers, show, Clock())
     measured = measurements_of(tracker.model, found)
     points = landmarks_over_time(tracker.model.skeleton, found.poses)
     filmed = np.any(found.frame_index >= 0, -1, keepdims=True)[..., None]

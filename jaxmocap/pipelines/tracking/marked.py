@@ -66,7 +66,7 @@ def is_marked(tracker: HybridTracker) -> bool:
     return tracker.settings.smooth and determine_body(tracker.model.skeleton, tracker.model.markers)
 
 
-def followed(
+def follow_markers(
     events: RecordingEvents, tracker: HybridTracker, show: Progress, causal: bool = False
 ) -> MarkedPass:
     """Fit lengths and places where the recording wants it, and follow the markers.

@@ -62,7 +62,7 @@ def low_passed(times: np.ndarray, poses: Pose, skeleton: Skeleton, cutoff: float
     return Pose(place, turn, np.clip(angles, *np.asarray(skeleton.limits).T))  # type: ignore[arg-type]
 
 
-def gathered(final: Sequence[SmoothedPose]) -> Trajectory:
+def join_outputs(final: Sequence[SmoothedPose]) -> Trajectory:
     """What a fixed-lag smoother gave out of all events, in order."""
     poses = jax.tree.map(lambda *parts: np.stack(parts), *(each.pose for each in final))
     deviations, from_prior = (
@@ -85,7 +85,7 @@ def motions(
     # Distances (E, M) of markers from the body, metres; turns (E, 2) of elbows by the video.
     each = trajectory.poses, first_pass.reports.marker_pose, first_pass.markers_world
     each = jax.tree.map(lambda part: np.asarray(part, model.dtype), each)
-    errors, turns = in_batches(partial(_compared, model, person), each, EVENTS_A_CALL)
+    errors, turns = in_batches(partial(_compare_events, model, person), each, EVENTS_A_CALL)
     assert trajectory.deviations is not None and trajectory.from_prior is not None
     columns = {
         "marker_errors": errors,
@@ -144,7 +144,7 @@ def _warnings(
 
 
 @program("quick")
-def _compared(
+def _compare_events(
     model: Model, person: Skeleton, poses: Pose, alone: Pose, targets: Array
 ) -> tuple[Array, Array]:
     """Of a batch of events: the markers' distances, the elbows' turns."""

@@ -28,9 +28,15 @@ from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.keypoints.lines import lines_at_events
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import Opened, RecordingEvents, open_recording
-from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
-from jaxmocap.pipelines.tracking.marked import MarkedPass, followed, is_marked
-from jaxmocap.pipelines.tracking.motions import Tracked, gathered, low_passed, motions, unsmoothed
+from jaxmocap.pipelines.tracking.first_pass import scan_events, step_events
+from jaxmocap.pipelines.tracking.marked import MarkedPass, follow_markers, is_marked
+from jaxmocap.pipelines.tracking.motions import (
+    Tracked,
+    join_outputs,
+    low_passed,
+    motions,
+    unsmoothed,
+)
 from jaxmocap.smoothing.batch import smooth_recording
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother
 from jaxmocap.smoothing.markers_alone import smooth_markers
@@ -132,20 +138,20 @@ def track_both(
     in_colour = forward_readers(used, colour=smoother is not None)
     with progress_bar("tracking", progress, "compiling") as show, in_colour as readers:
         if marked:
-            by_markers = followed(events, tracker, show, causal)
+            by_markers = follow_markers(events, tracker, show, causal)
             tracker, first, final = by_markers.tracker, by_markers.first, []
             opened = opened._replace(recording=by_markers.recording(opened.recording))
         elif causal:
-            first, final = stepped(
+            first, final = step_events(
                 events, tracker, readers, smoother, show, clock, opened.keypoints
             )
         else:
-            first, final = scanned(events, tracker, readers, show, clock), []
-    trajectory, passed = gathered(final) if smoother else None, perf_counter()
+            first, final = scan_events(events, tracker, readers, show, clock), []
+    trajectory, passed = join_outputs(final) if smoother else None, perf_counter()
     if smooth and not causal:
         with progress_bar("smoothing", progress, "compiling") as show:
-            trajectory = clock.timed(
-                "smooth", _smoothed, opened, events, tracker, first,
+            trajectory = clock.time_stage(
+                "smooth", _smooth_recording, opened, events, tracker, first,
                 lambda share: show(round(100 * share), 100), why,
             )  # fmt: skip
     cameras = [source.camera_name for source in recording.videos]
@@ -187,7 +193,7 @@ def with_sight_lines(opened: Opened, events: RecordingEvents, first: FirstPass) 
     return first._replace(sight_lines=lines)
 
 
-def _smoothed(
+def _smooth_recording(
     opened: Opened,
     events: RecordingEvents,
     tracker: HybridTracker,

@@ -75,7 +75,7 @@ def arm_length(skeleton: Any) -> float:
     return sum(float(skeleton.lengths[bone]) for bone in bones)
 
 
-def linearised(skeleton: Any, frames: Any, goals: Any) -> tuple[np.ndarray, np.ndarray, float]:
+def linearise_goals(skeleton: Any, frames: Any, goals: Any) -> tuple[np.ndarray, np.ndarray, float]:
     """Weighted Jacobian (4), clamped displacements (4.1) and the farthest weighted miss."""
     points = site_positions(skeleton, frames, goals.sites)
     J = jacobian(skeleton, frames, goals.sites.bones, points) / np.asarray(skeleton.costs, float)
@@ -113,7 +113,7 @@ def ik_step(
     goals, free = as_goals(goals), np.asarray(free, bool)
     costs, gamma = np.asarray(skeleton.costs, float), float(settings.largest_step)
     frames = forward(skeleton, pose)
-    J, error, missed = linearised(skeleton, frames, goals)
+    J, error, missed = linearise_goals(skeleton, frames, goals)
     wanted = gain * costs * secondary_task(skeleton, frames, pose, settings)
     low, high = room(skeleton, pose)
 
@@ -121,7 +121,7 @@ def ik_step(
         primary, projector = sdls.step(J * moving, error, gamma, RANK_TOLERANCE)
         beside = projector @ (wanted * moving)
         if secondary is not None:
-            A, away, _ = linearised(skeleton, frames, as_goals(secondary))
+            A, away, _ = linearise_goals(skeleton, frames, as_goals(secondary))
             A = (A * moving) @ projector
             rest = gain * away - A @ beside
             ridge = float(settings.elbows.deviation) ** 2 * np.eye(len(rest))
@@ -164,7 +164,7 @@ def reach(
     least = int(settings.settle) if secondary is None else following
     count, moved, pose = 0, np.inf, as_pose(pose)
     while count < least or (moved > float(settings.rest) and count < int(settings.iterations)):
-        missed = linearised(skeleton, forward(skeleton, pose), as_goals(goals))[2]
+        missed = linearise_goals(skeleton, forward(skeleton, pose), as_goals(goals))[2]
         if count >= least and missed <= float(settings.tolerance):
             break
         gain = 1.0 if secondary is None or count < following else 0.0

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.reference import cameras
 from jaxmocap.reference.hybrid import balance, ik, raster, simplex
-from jaxmocap.reference.kinematics import bone_vector, forward, site_positions, turned
+from jaxmocap.reference.kinematics import bone_vector, forward, rotate_vectors, site_positions
 
 LIMBS = ("humerus", "radius", "hand")
 
@@ -92,8 +92,8 @@ def swing(
     joints = np.array([*frames.joints_world[bones], tip])
     grip = site_positions(skeleton, frames, grip_sites)["lr".index(side)]
     axis = (grip - joints[0]) / np.linalg.norm(grip - joints[0])
-    swung = joints[0] + turned(joints - joints[0], axis, moves[0])
-    R_humerus = turned(frames.R_world_bone[bones[0]].T, axis, moves[0]).T
+    swung = joints[0] + rotate_vectors(joints - joints[0], axis, moves[0])
+    R_humerus = rotate_vectors(frames.R_world_bone[bones[0]].T, axis, moves[0]).T
     carrier = skeleton.tree.parents[bones[0]]
     R_local = frames.R_world_bone[carrier].T @ R_humerus
     shoulder = hinge_angles(R_local, np.asarray(skeleton.axes, float)[dofs[:3]], angles[dofs[:3]])

@@ -66,7 +66,7 @@ def forearm_turns() -> np.ndarray:
     return np.radians(turns)
 
 
-def turned(arm: Arm, turn: np.ndarray) -> tuple[np.ndarray, float]:
+def turn_forearm(arm: Arm, turn: np.ndarray) -> tuple[np.ndarray, float]:
     """Joints (4, 3) with the forearm turned about its grip; what the shoulder gives way, metres."""
     R = arm.R_world_radius @ Rotation.from_rotvec(turn).as_matrix() @ arm.R_world_radius.T
     elbow, wrist, tip = (arm.grip + R @ (point - arm.grip) for point in arm.joints[1:])
@@ -115,7 +115,7 @@ def off_edges(view: EdgeView, joints: np.ndarray, radii: np.ndarray, truncation:
         pixels = cameras.to_pixels(view.camera, points)
         inside = np.all((pixels >= BORDER_PX) & (pixels <= last - BORDER_PX), axis=1)
         weights = weights * inside * counts
-        distances = metres_per_px * looked_up(view, pixels, _normals(view, points, normals))
+        distances = metres_per_px * look_up_distances(view, pixels, _normals(view, points, normals))
         total += float(weights @ np.minimum(distances, truncation))
         length += float(weights.sum())
     return total / length if length > 1e-6 else truncation
@@ -128,7 +128,7 @@ def _normals(view: EdgeView, points: np.ndarray, normals: np.ndarray) -> np.ndar
     return np.stack([(ahead - behind)[:, 1], -(ahead - behind)[:, 0]], 1)
 
 
-def looked_up(view: EdgeView, pixels: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def look_up_distances(view: EdgeView, pixels: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Distances (N,), pixels, in the fields of the normals' directions: bilinear."""
     count, size, _ = view.fields.shape
     turns = np.arctan2(normals[:, 1], normals[:, 0]) % np.pi / np.pi
@@ -147,7 +147,7 @@ def candidate_costs(settings: Any, view: EdgeView, arm: Arm) -> tuple[np.ndarray
     """Costs (K,) in nats of all candidates, and their elbows (K, 3)."""
     own, edges, costs, elbows = settings.elbow_search, settings.edges, [], []
     for turn in forearm_turns():
-        joints, slack = turned(arm, turn)
+        joints, slack = turn_forearm(arm, turn)
         by_image = off_edges(view, joints, arm.radii, float(edges.truncation))
         away = np.linalg.norm(joints[1] - arm.joints[1]) / float(own.elbow_prior)
         # Student's t with three degrees of freedom.
@@ -157,7 +157,7 @@ def candidate_costs(settings: Any, view: EdgeView, arm: Arm) -> tuple[np.ndarray
     return np.array(costs), np.array(elbows)
 
 
-def filtered(
+def filter_weights(
     settings: Any, view: EdgeView, arm: Arm, log_weights: np.ndarray, elapsed: float
 ) -> Belief:
     """A step of the Bayes filter: each candidate's share spreads, then the image weighs it."""

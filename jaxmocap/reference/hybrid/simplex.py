@@ -38,13 +38,13 @@ def minimise(
     vertices = [(evaluate(point), point) for point in np.array(simplex, float)]
     for _ in range(iterations):
         vertices.sort(key=lambda vertex: vertex[0])
-        vertices = _moved(evaluate, vertices)
+        vertices = _move_vertices(evaluate, vertices)
     vertices.sort(key=lambda vertex: vertex[0])
     value, point = vertices[0]
     return Found(point, value, np.array([vertex[1] for vertex in vertices]), evaluations)
 
 
-def _moved(evaluate: Callable[[np.ndarray], float], vertices: list) -> list:
+def _move_vertices(evaluate: Callable[[np.ndarray], float], vertices: list) -> list:
     """One move of the sorted vertices (value, point)."""
     best, second_worst, (worst_value, worst) = vertices[0][0], vertices[-2][0], vertices[-1]
     middle = np.mean([point for _, point in vertices[:-1]], 0)

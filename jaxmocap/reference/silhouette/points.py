@@ -34,7 +34,7 @@ def joint_screws(skeleton: Any, frames: Any) -> list[np.ndarray]:
     return [np.concatenate([np.cross(joint, axis), axis]) for joint, axis in axes]
 
 
-def posed(frames: Any, points: Any) -> np.ndarray:
+def pose_points(frames: Any, points: Any) -> np.ndarray:
     """Points (N, 3) in the world, metres."""
     positions = []
     for bones, places, shares in zip(*(np.asarray(part) for part in points), strict=True):
@@ -63,10 +63,12 @@ def slopes(skeleton: Any, frames: Any, points: Any) -> np.ndarray:
     return result
 
 
-def linearised(skeleton: Any, frames: Any, pairs: Any) -> tuple[np.ndarray, np.ndarray]:
+def linearise_pairs(skeleton: Any, frames: Any, pairs: Any) -> tuple[np.ndarray, np.ndarray]:
     """Equation (3.12) for all pairs: x x n - m (N, 3) and its derivatives (N, 3, 6 + D)."""
     n = np.asarray(pairs.lines.directions, float)
-    residuals = np.cross(posed(frames, pairs.points), n) - np.asarray(pairs.lines.moments, float)
+    residuals = np.cross(pose_points(frames, pairs.points), n) - np.asarray(
+        pairs.lines.moments, float
+    )
     rows = np.cross(slopes(skeleton, frames, pairs.points), n[:, :, None], axis=1)
     return residuals, rows
 
@@ -78,13 +80,13 @@ def solve_pose(skeleton: Any, pose: Any, pairs: Any, iterations: int = 20) -> Po
     """
     now = Pose(*(np.asarray(part, float) for part in pose))
     for _ in range(iterations):
-        residuals, rows = linearised(skeleton, forward(skeleton, now), pairs)
+        residuals, rows = linearise_pairs(skeleton, forward(skeleton, now), pairs)
         A, b = rows.reshape(-1, rows.shape[-1]), -residuals.ravel()
-        now = moved(now, np.linalg.lstsq(A, b, rcond=None)[0])
+        now = move_pose(now, np.linalg.lstsq(A, b, rcond=None)[0])
     return now
 
 
-def moved(pose: Pose, step: np.ndarray) -> Pose:
+def move_pose(pose: Pose, step: np.ndarray) -> Pose:
     """The pose after a step (6 + D,): the twist's shift moves the pelvis, its turn turns it."""
     T = expm(hat(np.concatenate([np.zeros(3), step[3:6]])))
     turned = T[:3, :3] @ _matrix(pose.quaternion)

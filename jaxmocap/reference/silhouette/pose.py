@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from jaxmocap.reference.kinematics import forward
-from jaxmocap.reference.silhouette.points import Pose, difference, moved, posed, slopes
+from jaxmocap.reference.silhouette.points import Pose, difference, move_pose, pose_points, slopes
 
 # Of the lengths of normal errors in a plane, by the deviation of a component: their median.
 MEDIAN_OF_LENGTHS = np.sqrt(2 * np.log(2))
@@ -25,7 +25,7 @@ def contour_rows(skeleton: Any, frames: Any, pairs: Any) -> tuple[np.ndarray, np
     Returns:
         Residuals (N, 2), metres, and their derivatives (N, 2, 6 + D).
     """
-    x, J = posed(frames, pairs.points), slopes(skeleton, frames, pairs.points)
+    x, J = pose_points(frames, pairs.points), slopes(skeleton, frames, pairs.points)
     residuals, rows = np.zeros((len(x), 2)), np.zeros((len(x), 2, J.shape[-1]))
     lines = zip(*(np.asarray(part, float) for part in pairs.lines), strict=True)
     across = np.asarray(pairs.across, float)
@@ -64,5 +64,5 @@ def solve_pose(skeleton: Any, pose: Any, pairs: Any, settings: Any, prior: Any =
         endless = np.full(6, np.inf)
         bounds = np.append(-endless, np.minimum(low, 0.0)), np.append(endless, np.maximum(high, 0))
         solution = lsq_linear(np.concatenate(A), -np.concatenate(b), bounds, method="bvls")
-        now = moved(now, solution.x)
+        now = move_pose(now, solution.x)
     return now

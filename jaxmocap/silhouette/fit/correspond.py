@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.lines import Lines
 from jaxmocap.silhouette.points import BodyPoints, PointRays, contour_rays
-from jaxmocap.silhouette.surfaces.index_image import subsampled
+from jaxmocap.silhouette.surfaces.index_image import subsample_rows
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 # Pixels kept of each camera's contour, evenly along it.
@@ -64,7 +64,7 @@ class ContourPairs(NamedTuple):
     along_weight: Array | float = 0.0  # of all pairs along the contour, by that across
 
 
-def matched_pairs(rim: Rim, contours: Sequence[Contour]) -> Matches:
+def match_pairs(rim: Rim, contours: Sequence[Contour]) -> Matches:
     """Pairs of the rims' outer points and the contours of C cameras, however those were found."""
     rows = []
     for camera, contour in enumerate(contours):
@@ -72,11 +72,11 @@ def matched_pairs(rim: Rim, contours: Sequence[Contour]) -> Matches:
         outline = ~rim.inner[camera]
         nodes, pixels, normals, real = (part[camera][outline] for part in rim[:3] + rim[4:5])
         scale = float(rim.region.scale[camera])
-        rows.append(_matched(nodes, pixels, normals, real, contour, scale))
+        rows.append(_match_camera(nodes, pixels, normals, real, contour, scale))
     return Matches(*(np.stack(parts) for parts in zip(*rows, strict=True)))
 
 
-def _matched(
+def _match_camera(
     nodes: np.ndarray,
     pixels: np.ndarray,
     normals: np.ndarray,
@@ -90,7 +90,7 @@ def _matched(
         empty = np.zeros(width, np.float32)
         places = np.zeros((width, 2), np.float32)
         return Matches(np.zeros(width, nodes.dtype), places, places, empty, np.zeros(width, bool))
-    chosen = Contour(*subsampled(contour, PIXELS))
+    chosen = Contour(*subsample_rows(contour, PIXELS))
     rims = np.flatnonzero(kept)
     turn = NORMAL_WEIGHT * scale
     to_contour = KDTree(_places(*contour, turn)).query(_places(pixels, normals, turn))[1]
@@ -105,7 +105,7 @@ def _matched(
     real &= np.sum(ways * normals[which], 1) > LEAST_COSINE
     real &= away < LARGEST_DISTANCE * scale
     matches = Matches(nodes[which], there, ways, np.where(real, away, 0.0), real)
-    return Matches(*(_filled(part, width) for part in matches))
+    return Matches(*(_pad_field(part, width) for part in matches))
 
 
 def _places(pixels: np.ndarray, normals: np.ndarray, turn: float) -> np.ndarray:
@@ -113,7 +113,7 @@ def _places(pixels: np.ndarray, normals: np.ndarray, turn: float) -> np.ndarray:
     return np.concatenate([pixels, turn * normals], 1)
 
 
-def _filled(part: np.ndarray, width: int) -> np.ndarray:
+def _pad_field(part: np.ndarray, width: int) -> np.ndarray:
     """A field up to its static length, in single precision where it has any."""
     kind = np.float32 if part.dtype == np.float64 else part.dtype
     padded = np.zeros((width, *part.shape[1:]), kind)

@@ -32,13 +32,13 @@ from jaxmocap.silhouette.fit.correspond import (
     Contour,
     ContourPairs,
     Matches,
-    matched_pairs,
+    match_pairs,
     pairs_of,
 )
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, TermEvidence, solve_pose
 from jaxmocap.silhouette.segmentation.inner_edges import (
     EDGE_WEIGHT,
-    concatenated,
+    concatenate_pairs,
     inner_edge_pairs,
 )
 from jaxmocap.silhouette.segmentation.outlines import Outlines, find_outlines
@@ -159,13 +159,13 @@ def fit_pose(
     centre = predicted if morph is None else _free_pose(morph, predicted)
     prior = combined_prior(centre, deviations, constants.rest_deviations)
     first, *rest = (*(s.starting_cycles if frame.is_first else ()), *s.cycles)
-    fitted = _fitted(constants, body, frame, prior, first, predicted)
+    fitted = _run_cycle(constants, body, frame, prior, first, predicted)
     for cycle in rest:
-        fitted = _fitted(constants, body, frame, prior, cycle, fitted.result.pose, fitted)
+        fitted = _run_cycle(constants, body, frame, prior, cycle, fitted.result.pose, fitted)
     again = s.cycles[-1]._replace(segments=True)
     for _ in range(s.settling_rounds):
         before = fitted
-        fitted = _fitted(constants, body, frame, prior, again, before.result.pose, before)
+        fitted = _run_cycle(constants, body, frame, prior, again, before.result.pose, before)
         poses = before.result.pose, fitted.result.pose
         contours = before.outlines.contours, fitted.outlines.contours
         if has_settled(body.shape.skeleton, poses, contours):
@@ -173,7 +173,7 @@ def fit_pose(
     return fitted
 
 
-def _fitted(
+def _run_cycle(
     constants: TrackerConstants,
     body: TrackedBody,
     frame: FrameEvidence,
@@ -190,7 +190,7 @@ def _fitted(
         used = np.ones(len(frame.images), bool)
     else:
         outlines, used = before.outlines, before.used
-    pairs, shares, used = _paired(constants, body, frame, rim, outlines, used, cycle.level)
+    pairs, shares, used = _pair_contours(constants, body, frame, rim, outlines, used, cycle.level)
     how = PoseSettings(deviation=cycle.deviation, iterations=s.iterations)
     skeleton, cameras, morph = body.shape.skeleton, constants.cameras, constants.finder.morph
     result = fit(skeleton, cameras, pose, pairs.pairs, how, prior, frame.beside, morph)
@@ -202,7 +202,7 @@ def _fitted(
     return FittedPose(result, used, shares, outlines, left)
 
 
-def _paired(
+def _pair_contours(
     constants: TrackerConstants,
     body: TrackedBody,
     frame: FrameEvidence,
@@ -213,13 +213,13 @@ def _paired(
 ) -> tuple[NodePairs, np.ndarray, np.ndarray]:
     """Pairs of rim and contour and of inner edges; shares that matched; cameras (C,) that count."""
     s = constants.settings
-    matches = matched_pairs(rim, outlines.contours)
+    matches = match_pairs(rim, outlines.contours)
     counts = [len(contour.pixels_xy) for contour in outlines.contours]
     shares = matched_shares(rim, matches, counts)
     used = used & (shares >= s.least_matched_share)
     edges = inner_edge_pairs(frame.images, rim, constants.carriers)
     weights = np.concatenate([matches.valid, EDGE_WEIGHT * edges.valid], 1)
-    matches = concatenated(matches, edges)
+    matches = concatenate_pairs(matches, edges)
     weights = (weights * used[:, None]).astype(np.float32)
     points = body.shape.points(matches.nodes, level)
     moves = constants.finder.moves(matches.nodes)

@@ -134,17 +134,17 @@ def turning_angles(points: np.ndarray, reach: float) -> np.ndarray:
 SMOOTH_ROWS = 3.0
 
 
-def lifted_arms(
+def lift_arms(
     front: PhotographView, landmarks: FrontLandmarks, bent: tuple[ArmBones, ...]
 ) -> tuple[ArmBones, ...]:
     """Left and right arm in the front view, in the plane through their shoulders."""
     return tuple(
-        _lifted(front, pit, side, bones)
+        _lift_arm(front, pit, side, bones)
         for pit, side, bones in zip(landmarks.pits, (1, -1), bent, strict=True)
     )
 
 
-def _lifted(front: PhotographView, pit: np.ndarray, side: int, bones: ArmBones) -> ArmBones:
+def _lift_arm(front: PhotographView, pit: np.ndarray, side: int, bones: ArmBones) -> ArmBones:
     """Of an arm on the right (1) or left (-1) of the image."""
     middles, outer = [], float(pit[0])
     for row in range(int(pit[1]) + 1, len(front.mask)):

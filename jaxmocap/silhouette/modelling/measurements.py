@@ -28,7 +28,7 @@ class GirthSection(NamedTuple):
     depth: float  # to the front; of an arm, in the plane in which it bends
     girth: float  # of a tape around it
 
-    def rounded(self) -> dict[str, float]:
+    def to_millimetres(self) -> dict[str, float]:
         """By name, to a tenth of a millimetre."""
         return {name: round(value, 4) for name, value in self._asdict().items()}
 

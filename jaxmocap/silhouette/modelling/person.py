@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.silhouette.modelling.arm_joints import ArmPixels, arm_axis, arm_joints, lifted_arms
+from jaxmocap.silhouette.modelling.arm_joints import ArmPixels, arm_axis, arm_joints, lift_arms
 from jaxmocap.silhouette.modelling.arm_surface import (
     ArmBones,
     arm_rings,
@@ -137,7 +137,7 @@ def person_model(
         for bones, straight in zip(bent, stretched, strict=True)
     )
     with _of("front"):
-        lifted = lifted_arms(views["front"], landmarks, bent)
+        lifted = lift_arms(views["front"], landmarks, bent)
         legs = find_thighs(views["front"], views["side"], landmarks, body.middles[0])
     moved = {"front": np.zeros(3), "side": np.zeros(3)}
     moved |= {"joint": joint.shift, "arm_side": arm_side.shift}

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from jaxmocap.images.canvases import resampled_values
+from jaxmocap.images.canvases import resample_values
 from jaxmocap.images.regions import Region
 
 # A colour darker than this has no chromaticity, grey levels of all three channels together.
@@ -41,7 +41,7 @@ class BodyAppearance(NamedTuple):
         """Before the first frame."""
         return cls(np.zeros((points, 3), np.float32), np.zeros(points, int))
 
-    def updated(self, chromaticities: np.ndarray, visible: np.ndarray) -> "BodyAppearance":
+    def update(self, chromaticities: np.ndarray, visible: np.ndarray) -> "BodyAppearance":
         """After a frame with chromaticities (C, N, 3) of the points visible in it, (C, N) bool."""
         counted = visible & np.isfinite(chromaticities[..., 0])
         count = counted.sum(0)
@@ -155,7 +155,7 @@ def chromaticity_canvases(
     result = np.full((len(images), size, size, 3), np.nan, np.float32)
     for camera, (image, region) in enumerate(zip(images, regions, strict=True)):
         if image is not None:
-            result[camera] = chromaticity(resampled_values(image, region, size))
+            result[camera] = chromaticity(resample_values(image, region, size))
     return result
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surfaces.surface import BodyPoints, Surface, posed
+from jaxmocap.body.surfaces.surface import BodyPoints, Surface, pose_points
 from jaxmocap.compilation.programs import program
 from jaxmocap.geometry.cameras import Camera, depth, on_host, pixels_per_metre
 from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance
@@ -96,11 +96,11 @@ class EvidenceFinder:
         obstacles = _obstacles(self._skeleton, projected.pose, self._rings[number])
         return LimbEvidence(log_ratios, projected.region, projected.used, colours, obstacles)
 
-    def unexplained(self, projected: ProjectedBody) -> np.ndarray:
+    def unexplained_areas(self, projected: ProjectedBody) -> np.ndarray:
         """(L,) area of person that nothing explains within each limb's reach, by the limb's."""
         every = np.ones(projected.pixels.shape[1], bool)
         likely = projected.log_ratios > PERSON_LOG_RATIO
-        left = likely & ~projected.covered(every)
+        left = likely & ~projected.covered_cells(every)
         area, size = np.zeros((2, len(self._limbs)))
         for camera in np.flatnonzero(projected.used):
             region, of = projected.regions[camera], self._cameras[camera]
@@ -126,4 +126,4 @@ class EvidenceFinder:
 @program("full")
 def _obstacles(skeleton: Skeleton, pose: Pose, rings: BodyPoints) -> Obstacles:
     """Parts of a body in a pose."""
-    return Obstacles.of(posed(forward(skeleton, pose), rings))
+    return Obstacles.of(pose_points(forward(skeleton, pose), rings))

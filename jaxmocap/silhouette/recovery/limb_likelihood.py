@@ -144,7 +144,7 @@ def explained_log_ratio(
     wherever nothing of it is visible.
     """
     near, far = bone_ends(skeleton, pose, limb)
-    gained, _, full = _summed(skeleton, cameras, (near, far), limb, evidence)
+    gained, _, full = _sum_cameras(skeleton, cameras, (near, far), limb, evidence)
     visible = jnp.maximum(gained / jnp.maximum(full, 1.0), least)
     if evidence.obstacles is None:
         return visible
@@ -157,11 +157,11 @@ def visible_log_ratio(
 ) -> Array:
     """() mean log-ratio of where the limb is visible; 0 where it is in no image."""
     ends = bone_ends(skeleton, pose, limb)
-    gained, visible, _ = _summed(skeleton, cameras, ends, limb, evidence)
+    gained, visible, _ = _sum_cameras(skeleton, cameras, ends, limb, evidence)
     return gained / jnp.maximum(visible, 1.0)
 
 
-def _summed(
+def _sum_cameras(
     skeleton: Skeleton,
     cameras: Camera,
     ends: tuple[Array, Array],

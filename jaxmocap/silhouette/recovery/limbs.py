@@ -61,7 +61,7 @@ def bone_ends(skeleton: Skeleton, pose: Pose, limb: LimbChain) -> tuple[Array, A
 
 def bone_radii(skeleton: Skeleton, surface: Surface, bones: np.ndarray) -> np.ndarray:
     """(B,) metres from bones to the surface's nodes that they carry alone or most."""
-    carrier, places = carried_most(surface.points)
+    carrier, places = carrying_bones(surface.points)
     ways = np.asarray(skeleton.directions)
     radii = []
     for bone in bones:
@@ -73,10 +73,10 @@ def bone_radii(skeleton: Skeleton, surface: Surface, bones: np.ndarray) -> np.nd
 
 def carriers(points: BodyPoints) -> np.ndarray:
     """(N,) the bone that carries most of each point."""
-    return carried_most(points)[0]
+    return carrying_bones(points)[0]
 
 
-def carried_most(points: BodyPoints) -> tuple[np.ndarray, np.ndarray]:
+def carrying_bones(points: BodyPoints) -> tuple[np.ndarray, np.ndarray]:
     """(N,) the bone that carries most of each point, and (N, 3) the point in its frame."""
     bones, shares = np.asarray(points.bones), np.asarray(points.shares)
     rows, most = np.arange(len(bones)), shares.argmax(1)
@@ -90,7 +90,7 @@ def bins_along(
 
     -1 of points elsewhere. Places lie at ``shares`` (A,) of a bone's length.
     """
-    carrier, places = carried_most(points)
+    carrier, places = carrying_bones(points)
     numbers = np.full(len(carrier), -1)
     for row, bone in enumerate(limb.bones):
         on = carrier == bone

@@ -152,7 +152,7 @@ class LimbRecovery:
         )
         used = zip(images, projected.used, strict=True)
         shown = [image if counts else None for image, counts in used]
-        strange, parts = memory.part_appearance.compared(shown, projected.pixels, finder.nodes)
+        strange, parts = memory.part_appearance.compare(shown, projected.pixels, finder.nodes)
         contradicted = memory.contradicted.copy()
         depths = finder.nearest_depths(projected)
         for number in relocated:
@@ -166,7 +166,7 @@ class LimbRecovery:
         # Limbs that may be elsewhere have the colours of something else.
         unsure = np.any(finder.nodes[hidden], 0)
         colours = chromaticity_at(shown, projected.pixels)
-        appearance = memory.appearance.updated(colours, visible & ~unsure)
+        appearance = memory.appearance.update(colours, visible & ~unsure)
         after = memory._replace(
             part_appearance=parts, appearance=appearance, contradicted=contradicted
         )
@@ -196,7 +196,7 @@ class LimbRecovery:
     ) -> tuple[LimbProposal | None, LimbMemory]:
         """Poses that explain more of the image than the present one, if there are any."""
         finder, pose = self.evidence, projected.pose
-        missing, depths = finder.unexplained(projected), finder.nearest_depths(projected)
+        missing, depths = finder.unexplained_areas(projected), finder.nearest_depths(projected)
         evidence = [
             finder.of_limb(number, projected, memory.appearance, depths)
             for number in range(len(self.limbs))

@@ -42,7 +42,7 @@ class PartAppearance(NamedTuple):
         zeros = np.zeros((parts, cameras))
         return cls(np.zeros((parts, cameras, 3)), zeros, zeros.astype(int), np.zeros(parts, int))
 
-    def compared(
+    def compare(
         self, images: Sequence[np.ndarray | None], pixels_xy: np.ndarray, parts: np.ndarray
     ) -> tuple[np.ndarray, "PartAppearance"]:
         """Which parts (P,) look otherwise, and the memory after.

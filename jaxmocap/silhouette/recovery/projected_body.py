@@ -14,11 +14,11 @@ from jax import Array
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surfaces.surface import BodyPoints, Surface, posed
+from jaxmocap.body.surfaces.surface import BodyPoints, Surface, pose_points
 from jaxmocap.compilation.programs import program
 from jaxmocap.geometry.cameras import Camera, depth, project
 from jaxmocap.images.background_model import Background
-from jaxmocap.images.canvases import canvas, resampled_values
+from jaxmocap.images.canvases import canvas, resample_values
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.recovery.chromaticity import PointCells, chromaticity_canvases
 from jaxmocap.silhouette.segmentation.background_models import covered_cells
@@ -50,7 +50,7 @@ class ProjectedBody(NamedTuple):
     region: Region  # the same as one
     used: np.ndarray  # (C,) bool
 
-    def covered(self, points: np.ndarray) -> np.ndarray:
+    def covered_cells(self, points: np.ndarray) -> np.ndarray:
         """(C, S, S) bool, what of the canvases some points (N,) bool of the body cover."""
         size, rows = self.log_ratios.shape[-1], zip(self.pixels, self.regions, strict=True)
         return np.stack([covered_cells(at[points], of, size, CELL_MARGIN) for at, of in rows])
@@ -105,7 +105,7 @@ def body_pixels(
     skeleton: Skeleton, pose: Pose, cameras: Camera, points: BodyPoints
 ) -> tuple[Array, Array]:
     """(C, N, 2) pixels of points of the body, hidden or not, and (C, N) their depths, metres."""
-    positions = posed(forward(skeleton, pose), points)
+    positions = pose_points(forward(skeleton, pose), points)
 
     def one(camera: Camera) -> tuple[Array, Array]:
         return project(camera, positions), depth(camera, positions)
@@ -128,7 +128,7 @@ def _extended_log_ratio(
     wide = origin - (EXTENT - 1) / 2 * cells * scale
     around = Region(wide.astype(np.float32), np.array(wide_scale, np.float32))
     inner = Region((wide - origin) / scale - 0.5, np.array(wide_scale / scale))
-    within = resampled_values(cv2.blur(ratios, (3, 3)), inner, SIZE)
+    within = resample_values(cv2.blur(ratios, (3, 3)), inner, SIZE)
     places = inner.origin[:, None] + (np.arange(SIZE) + 0.5) * inner.scale
     x, y = (places >= 0) & (places <= cells - 1)
     if image is None or background is None:

@@ -60,7 +60,7 @@ def recover_limbs(
     none = recovery.joints_of(())
     if not fitted.used.any():
         return RecoveredPose(fitted, none, none, ~none, limbs)
-    best = _Relocation(fitted, _projected(body, fitted.result.pose, fitted, frame))
+    best = _Relocation(fitted, _project_pose(body, fitted.result.pose, fitted, frame))
     resumed, searched = (), ()
     # Without a background what looks like a person is taken for one, and learned as none.
     has_backgrounds = all(background is not None for background in frame.backgrounds)
@@ -97,14 +97,14 @@ def _best_of(
     least = proposal.least_gain
     for pose in proposal.poses:
         again = fit_pose(constants, body, frame, pose, wide)
-        old, new = (_projected(body, each.result.pose, again, frame) for each in (before, again))
+        old, new = (_project_pose(body, each.result.pose, again, frame) for each in (before, again))
         gain = body.recovery.gain(proposal.limbs, old, new, limbs.appearance)
         if gain > least:
             least, best = gain, _Relocation(again, new, proposal.limbs)
     return best
 
 
-def _projected(
+def _project_pose(
     body: TrackedBody, pose: Pose, fitted: FittedPose, frame: FrameEvidence
 ) -> ProjectedBody:
     """A pose laid over what was segmented for another."""
@@ -117,13 +117,13 @@ def _projected(
 LOST_FRAMES = 3
 
 
-def remembered(recent: tuple[RecentFrame, ...], frame: RecentFrame) -> tuple[RecentFrame, ...]:
+def remember_frame(recent: tuple[RecentFrame, ...], frame: RecentFrame) -> tuple[RecentFrame, ...]:
     """The last ``LOST_FRAMES`` frames after another one."""
     kept = frame._replace(report=frame.report._replace(revised=()))
     return (*recent[1 - LOST_FRAMES :], kept)
 
 
-def withdrawn(
+def withdraw_joints(
     constants: TrackerConstants,
     body: TrackedBody,
     recent: tuple[RecentFrame, ...],

@@ -78,7 +78,7 @@ class BackgroundLearner:
         """As large as the frames; None without any frame."""
         if not self._frames:
             return None
-        return _enlarged(
+        return _enlarge(
             learn_background(np.stack(self._frames), np.stack(self._bodies), LIT_QUANTILE),
             self._size,
         )
@@ -93,7 +93,7 @@ class OnlineBackground:
     def __init__(self):
         self._running = RunningBackground(enough=1)
 
-    def updated(
+    def update(
         self, image: np.ndarray, phi: np.ndarray, region: Region, pixels_xy: np.ndarray
     ) -> Background:
         """After another frame, arguments as those of ``BackgroundLearner.add_frame``."""
@@ -101,7 +101,7 @@ class OnlineBackground:
         self._running.update(
             shrink(image, ONLINE_ROWS), shrink(body.astype(np.uint8), ONLINE_ROWS) > 0
         )
-        return _enlarged(self._running.background(), (image.shape[1], image.shape[0]))
+        return _enlarge(self._running.background(), (image.shape[1], image.shape[0]))
 
 
 def possible_person(
@@ -133,7 +133,7 @@ def covered_cells(pixels_xy: np.ndarray, region: Region, size: int, around: int)
     return cv2.dilate(mask, np.ones((2 * around + 1,) * 2, np.uint8)) > 0
 
 
-def _enlarged(small: Background, size: tuple[int, int]) -> Background:
+def _enlarge(small: Background, size: tuple[int, int]) -> Background:
     """A background at an image's width and height."""
     parts = (small.colour, small.noise, small.certainty)
     return Background(*(cv2.resize(part, size) for part in parts))

@@ -58,15 +58,15 @@ def _one(
     down = downward.astype(phi.dtype)
     y = row.astype(phi.dtype) + share * down
     x = column.astype(phi.dtype) + share * (1 - down)
-    slope_x = (_sampled(phi, x + 1, y) - _sampled(phi, x - 1, y)) / 2
-    slope_y = (_sampled(phi, x, y + 1) - _sampled(phi, x, y - 1)) / 2
+    slope_x = (_sample_values(phi, x + 1, y) - _sample_values(phi, x - 1, y)) / 2
+    slope_y = (_sample_values(phi, x, y + 1) - _sample_values(phi, x, y - 1)) / 2
     steepness = jnp.sqrt(slope_x**2 + slope_y**2 + 1e-12)
     out_x, out_y = -slope_x / steepness, -slope_y / steepness
     # A crossing on every row and one on every column: a slanting contour has more of them.
     length = scale / (jnp.abs(out_x) + jnp.abs(out_y))
-    jump = _sampled(log_ratio, x - ASIDE * out_x, y - ASIDE * out_y)
-    jump -= _sampled(log_ratio, x + ASIDE * out_x, y + ASIDE * out_y)
-    within = _sampled(inside, x + ASIDE * out_x, y + ASIDE * out_y) > 0.99
+    jump = _sample_values(log_ratio, x - ASIDE * out_x, y - ASIDE * out_y)
+    jump -= _sample_values(log_ratio, x + ASIDE * out_x, y + ASIDE * out_y)
+    within = _sample_values(inside, x + ASIDE * out_x, y + ASIDE * out_y) > 0.99
     cells = jnp.stack([x, y], -1)
     return Contours(
         origin + (cells + 0.5) * scale,
@@ -99,6 +99,6 @@ def _crossings(phi: Array, count: int) -> tuple[tuple[Array, Array, Array], Arra
     return (row, place % size, (place >= size).astype(row.dtype)), total
 
 
-def _sampled(values: Array, x: Array, y: Array) -> Array:
+def _sample_values(values: Array, x: Array, y: Array) -> Array:
     """Values (S, S) between cells at places (N,); beyond the border they are replicated."""
     return look_up(values[None], jnp.zeros((), jnp.int32), x, y)

@@ -32,7 +32,7 @@ class ImageHistory(NamedTuple):
         """Before the first frame."""
         return cls((None,) * cameras, (0,) * cameras)
 
-    def accepted(
+    def accept(
         self, images: Sequence[np.ndarray | None], share: float, patience: int
     ) -> tuple[list[np.ndarray | None], "ImageHistory"]:
         """The images (H, W, 3) uint8 that are to be used, None in place of the others.

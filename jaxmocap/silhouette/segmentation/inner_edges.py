@@ -99,7 +99,7 @@ def _of_camera(
     return nodes, there, normals.astype(np.float32), np.abs(offset), is_detected
 
 
-def concatenated(outlines: Matches, edges: Matches) -> Matches:
+def concatenate_pairs(outlines: Matches, edges: Matches) -> Matches:
     """Pairs (C, N) of outlines and (C, R) of edges as one."""
     both = zip(outlines, edges, strict=True)
     return Matches(*(np.concatenate([a, b.astype(a.dtype)], 1) for a, b in both))

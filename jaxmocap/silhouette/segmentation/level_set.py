@@ -71,13 +71,13 @@ def step(phi: Array, log_ratio: Array, motion: LevelSetMotion, width: Array | fl
     return jnp.clip(phi + force + kept + along, -BAND, BAND)
 
 
-def downsampled(values: Array) -> Array:
+def downsample(values: Array) -> Array:
     """Means (..., S/2, S/2) of two by two cells."""
     rows = values[..., ::2, :] + values[..., 1::2, :]
     return (rows[..., ::2] + rows[..., 1::2]) / 4
 
 
-def upsampled(phi: Array) -> Array:
+def upsample(phi: Array) -> Array:
     """Φ (V, S, S) on cells of half the size (V, 2 S, 2 S), in those."""
     count, size, _ = phi.shape
     return 2 * jax.image.resize(phi, (count, 2 * size, 2 * size), "linear")

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.images.background_model import Background
-from jaxmocap.images.canvases import Canvas, attached, canvas, silhouette_distance
+from jaxmocap.images.canvases import Canvas, canvas, keep_attached, silhouette_distance
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import Contour
 from jaxmocap.silhouette.segmentation.contour import contours
@@ -20,7 +20,7 @@ from jaxmocap.silhouette.segmentation.segment import (
     Segmentation,
     segment,
 )
-from jaxmocap.silhouette.segmentation.sharpen import sharpened_silhouette
+from jaxmocap.silhouette.segmentation.sharpen import sharpen_silhouette
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.surfaces.rim import Rim
 
@@ -58,10 +58,10 @@ def find_outlines(
     canvases = CanvasImages.of(taken)
     segmentation = segment(canvases, start, before, settings.level_set, settings.plan)
     phi = np.stack(
-        [attached(*each) for each in zip(np.asarray(segmentation.phi), start, strict=True)]
+        [keep_attached(*each) for each in zip(np.asarray(segmentation.phi), start, strict=True)]
     )
     if settings.sharpen:
-        phi = _sharpened(images, backgrounds, phi, views)
+        phi = _sharpen_contours(images, backgrounds, phi, views)
     segmentation = segmentation._replace(phi=phi)
     traced = contours(
         segmentation.phi, segmentation.log_ratio, canvases.inside, region, settings.points,
@@ -75,7 +75,7 @@ def find_outlines(
     return Outlines(lines, segmentation, region)
 
 
-def _sharpened(
+def _sharpen_contours(
     images: Sequence[np.ndarray | None],
     backgrounds: Sequence[Background | None],
     phi: np.ndarray,
@@ -87,8 +87,8 @@ def _sharpened(
         image, now, view = images[camera], phi[camera], views[camera]
         if image is None or not (now > 0).any():
             return now
-        return attached(
-            sharpened_silhouette(image, now, view, backgrounds[camera]).phi(view, len(now)), now
+        return keep_attached(
+            sharpen_silhouette(image, now, view, backgrounds[camera]).phi(view, len(now)), now
         )
 
     return np.stack(list(_THREADS.map(one, range(len(phi)))))

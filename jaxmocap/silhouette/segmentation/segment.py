@@ -25,10 +25,10 @@ from jaxmocap.silhouette.segmentation import densities
 from jaxmocap.silhouette.segmentation.level_set import (
     BAND,
     LevelSetMotion,
-    downsampled,
+    downsample,
     evolve,
     heaviside,
-    upsampled,
+    upsample,
 )
 
 # A cell is background as far as it is likelier than such a density, per cubic grey level.
@@ -138,23 +138,23 @@ def segment(
     colour, background = (each.astype(jnp.float32) for each in (images.colour, images.background))
     images = images._replace(colour=colour, background=background)
     fine = _Pixels.of(images, plan)
-    coarse = _Pixels.of(jax.tree.map(downsampled, images), plan)
+    coarse = _Pixels.of(jax.tree.map(downsample, images), plan)
     phi, ratio, now = jnp.clip(start, -BAND, BAND), jnp.zeros_like(start), before
     beyond = jnp.clip(start + settings.prior_reach, -settings.prior_reach, 0.0)
     prior = settings.shape_prior * beyond / settings.prior_reach
     for stage in plan.stages:
         pixels = coarse if stage.coarse else fine
-        here = downsampled(phi) / 2 if stage.coarse else phi
+        here = downsample(phi) / 2 if stage.coarse else phi
         now = _histograms(here, pixels, before.person.shape[-1], stage, plan)
         mixed = Histograms(*(a + b for a, b in zip(now, before, strict=True)))
         ratio = _log_ratio(mixed, pixels, settings, plan) * pixels.images.inside
-        force = ratio + (downsampled(prior) if stage.coarse else prior)
+        force = ratio + (downsample(prior) if stage.coarse else prior)
         width = stage.width
         if plan.background:
             certainty = jnp.asarray(pixels.images.certainty)
             width = width + (stage.background_width - width) * certainty
         moved = evolve(here, force, settings.motion, width, stage.steps)
-        phi = jnp.clip(upsampled(moved), -BAND, BAND) if stage.coarse else moved
+        phi = jnp.clip(upsample(moved), -BAND, BAND) if stage.coarse else moved
     kept = Histograms(
         *(settings.histogram_decay * (a + b) for a, b in zip(before, now, strict=True))
     )

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from jaxmocap.images.background_model import Background
-from jaxmocap.images.canvases import full_mask, resampled_values, silhouette_distance
+from jaxmocap.images.canvases import full_mask, resample_values, silhouette_distance
 from jaxmocap.images.regions import Region
 
 # Pixels from the contour to where a side's colours are its own.
@@ -63,7 +63,7 @@ class SilhouettePatch(NamedTuple):
         """Φ (S, S) float32 on a canvas: cells from the mask's border, positive within."""
         step = np.float32(self.region.scale)
         here = Region((region.origin - self.region.origin) / step - 0.5, region.scale / step)
-        distance = resampled_values(_distance(self.mask), here, size)
+        distance = resample_values(_distance(self.mask), here, size)
         return distance / np.float32(here.scale)
 
     def full(self, shape: tuple[int, int]) -> np.ndarray:
@@ -82,7 +82,7 @@ class SilhouettePatch(NamedTuple):
         return filled
 
 
-def sharpened_silhouette(
+def sharpen_silhouette(
     image: np.ndarray, phi: np.ndarray, region: Region, background: Background | None = None
 ) -> SilhouettePatch:
     """The silhouette to a pixel in an image (H, W, 3), BGR uint8, by Φ (S, S) on a canvas.
@@ -101,7 +101,7 @@ def sharpened_silhouette(
         behind = _channels(cv2.convertScaleAbs(_shrunk(colour, step))), _shrunk(certainty, step)
     mask = _shrunk(255 * before.astype(np.uint8), step) > 127
     for inwards, outwards in ROUNDS:
-        mask = _moved(channels, mask, behind, inwards, outwards)
+        mask = _move_border(channels, mask, behind, inwards, outwards)
     return SilhouettePatch(mask, Region(corner - np.float32(0.5), np.array(step, np.float32)))
 
 
@@ -110,7 +110,7 @@ def _channels(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(cv2.transform(image, CHANNELS), cv2.COLOR_BGR2BGRA)
 
 
-def _moved(
+def _move_border(
     channels: np.ndarray,
     mask: np.ndarray,
     background: tuple[np.ndarray, np.ndarray] | None,
@@ -132,19 +132,22 @@ def _moved(
     (person, sure), (other, free) = (_beside(channels, side, at) for side in (inner, outer))
     certainty = np.zeros(len(at), np.float32)
     if background is not None:
-        certainty = _taken(background[1], at)
-        (lit, _), colour = _beside(background[0], outer, at), _taken(background[0], at) - BLACK
+        certainty = _take_pixels(background[1], at)
+        (lit, _), colour = (
+            _beside(background[0], outer, at),
+            _take_pixels(background[0], at) - BLACK,
+        )
         light = np.clip(other[:, 0] / np.maximum(lit[:, 0], 1.0), DIMMEST, BRIGHTEST)
         behind = BLACK + np.where(free, light, np.float32(1))[:, None] * colour
         other += certainty[:, None] * (behind - other)
         free = free | (certainty > 0.5)
-    apart, away = person - other, _taken(channels, at) - other
+    apart, away = person - other, _take_pixels(channels, at) - other
     contrast, off = apart**2 @ ALL_CHANNELS, away**2 @ ALL_CHANNELS
     along = (apart * away) @ ALL_CHANNELS / np.maximum(contrast, 1.0)
     far = np.sqrt(np.maximum(off - SQUARED_NOISE, 0) / np.maximum(contrast, 1.0))
     covered = along + certainty * (far - along)
     weight = contrast / (contrast + HALF_CONTRAST) * (sure & free)
-    before = _taken(cv2.blur(255 * filled, (SMOOTH_PX, SMOOTH_PX)), at)
+    before = _take_pixels(cv2.blur(255 * filled, (SMOOTH_PX, SMOOTH_PX)), at)
     share = 255 * np.clip(covered - COVERED_SHARE + 0.5, 0, 1)
     decided = 255 * filled
     decided.ravel()[at] = np.rint(before + weight * (share - before))
@@ -157,12 +160,12 @@ def _beside(
     """Mean channels (N, 4) of a side (h, w) about some pixels, and whether any of it is there."""
     one_side = cv2.bitwise_and(channels, channels, mask=side)
     sums = cv2.boxFilter(one_side, cv2.CV_16U, (BESIDE_PX, BESIDE_PX), normalize=False)
-    chosen = _taken(sums, at)
+    chosen = _take_pixels(sums, at)
     weight = chosen[:, 3:]
     return chosen * (255 / np.maximum(weight, 1.0)), weight[:, 0] > 0
 
 
-def _taken(image: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _take_pixels(image: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Some pixels of an image (h, w) or (h, w, 4), as float32 (N) or (N, 4)."""
     if image.ndim == 2:
         return image.ravel()[at].astype(np.float32)

@@ -74,8 +74,8 @@ def outer_boundary(keys: np.ndarray, mask: np.ndarray, count: int | None = None)
     A cell's node is the nearest in or beside it; cells without one are left out. No more cells than
     ``count``, evenly along it.
     """
-    boundary = traced_boundary(mask)
-    cells, normals = boundary if count is None else subsampled(boundary, count)
+    boundary = trace_boundary(mask)
+    cells, normals = boundary if count is None else subsample_rows(boundary, count)
     padded = np.pad(keys, 1, constant_values=EMPTY)
     x, y = cells.T
     here = padded[y + 1, x + 1]
@@ -85,7 +85,7 @@ def outer_boundary(keys: np.ndarray, mask: np.ndarray, count: int | None = None)
     return Boundary(cells[has_node], nodes[has_node], normals[has_node])
 
 
-def traced_boundary(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def trace_boundary(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The cells (K, 2) along the inside of a mask's outlines, column and row, and their normals.
 
     Cells at the canvas' edge, which is no edge of the body, are left out, and so are specks.
@@ -166,7 +166,7 @@ def _steps_back(
     return x, y
 
 
-def subsampled(parts: tuple[np.ndarray, ...], count: int) -> tuple[np.ndarray, ...]:
+def subsample_rows(parts: tuple[np.ndarray, ...], count: int) -> tuple[np.ndarray, ...]:
     """At most ``count`` of the rows that all parts have, evenly along them."""
     rows = len(parts[0])
     if rows <= count:

@@ -86,17 +86,17 @@ def driver_jacobian(morph: Morph, angles: Array) -> Array:
 
 def without_followers(morph: Morph, pose: Pose) -> Pose:
     """The pose without what follows: joints that do so keep their own angles."""
-    return pose._replace(angles=pose.angles - _followed(morph, pose.angles))
+    return pose._replace(angles=pose.angles - _follow_angles(morph, pose.angles))
 
 
 def with_followers(morph: Morph, free: Pose, skeleton: Skeleton) -> Pose:
     """The pose with what follows, within the limits: the inverse of ``without_followers``."""
-    angles = free.angles + _followed(morph, free.angles)
+    angles = free.angles + _follow_angles(morph, free.angles)
     low, high = skeleton.limits[:, 0], skeleton.limits[:, 1]
     return free._replace(angles=jnp.clip(angles, low, high))
 
 
-def _followed(morph: Morph, angles: Array) -> Array:
+def _follow_angles(morph: Morph, angles: Array) -> Array:
     follows = morph.follower_gains.astype(angles.dtype)
     return jnp.matmul(follows, driver_values(morph, angles), precision=HIGHEST)
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.surfaces.surface import low_pass, resampled, rest_nodes, surface_from_rest
+from jaxmocap.body.surfaces.surface import low_pass, resample_surface, rest_nodes, surface_from_rest
 from jaxmocap.compilation.programs import program
 from jaxmocap.geometry import twists
 from jaxmocap.geometry.cameras import Camera
@@ -54,7 +54,7 @@ class RigidSurface:
             raise ValueError(f"found a grid {shape}, expected (V, U, 3) with V >= 2 and U >= 3")
         grid = np.asarray(grid, float)
         sparse = surface_from_rest({"object": grid}, {"object": np.ones((*shape[:2], 1))}, ORIGIN)
-        dense = resampled(sparse, ORIGIN, _spacing(grid))
+        dense = resample_surface(sparse, ORIGIN, _spacing(grid))
         low = [low_pass(dense, ORIGIN, each, 2 * each) for each in harmonics]
         self.harmonics = tuple(harmonics)
         self.nodes = [rest_nodes(each, ORIGIN).astype(np.float32) for each in (*low, dense)]
@@ -62,11 +62,11 @@ class RigidSurface:
 
     def rim(self, T_world_object: Array, cameras: Camera, level: int = FULL) -> Rim:
         """What C cameras (stacked) see of it at a pose (4, 4)."""
-        return self._tracer.rim(_projected(self.nodes[level], T_world_object, cameras))
+        return self._tracer.rim(_project_nodes(self.nodes[level], T_world_object, cameras))
 
 
 @program("full")
-def _projected(nodes: Array, T_world_object: Array, cameras: Camera) -> ProjectedNodes:
+def _project_nodes(nodes: Array, T_world_object: Array, cameras: Camera) -> ProjectedNodes:
     x, y, z = twists.move(T_world_object.astype(nodes.dtype), nodes).T
     return on_canvases((x, y, z), cameras, RIM)
 

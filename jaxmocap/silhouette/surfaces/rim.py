@@ -26,8 +26,8 @@ from jaxmocap.body.surfaces.morphing import Morphing
 from jaxmocap.body.surfaces.surface import (
     Skin,
     Surface,
-    resampled,
-    skinned,
+    resample_surface,
+    skin_nodes,
 )
 from jaxmocap.compilation.programs import Program
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, camera_components, pixel_components
@@ -40,7 +40,7 @@ from jaxmocap.silhouette.surfaces.index_image import (
     inner_boundary,
     node_keys,
     outer_boundary,
-    subsampled,
+    subsample_rows,
 )
 from jaxmocap.silhouette.surfaces.morph import Morph, morphed_skin
 from jaxmocap.silhouette.surfaces.swelling import morph_around
@@ -136,7 +136,7 @@ class RimTracer:
         boundaries = [outer_boundary(keys, mask, s.outer)]
         if s.inner:
             inner = inner_boundary(keys, projected.depth, s.jump, self._limbs)
-            boundaries.append(Boundary(*subsampled(inner, s.inner)))
+            boundaries.append(Boundary(*subsample_rows(inner, s.inner)))
         nodes, normals = np.zeros(s.outer + s.inner, int), np.zeros((s.outer + s.inner, 2))
         real = np.zeros(len(nodes), bool)
         for part, start in zip(boundaries, (0, s.outer), strict=False):
@@ -171,7 +171,7 @@ def _projection(settings: RimSettings) -> Program:
         skin: Skin, morph: Morph | None, skeleton: Skeleton, pose: Pose, cameras: Camera
     ) -> ProjectedNodes:
         skin = skin if morph is None else morphed_skin(skin, morph, pose.angles)
-        return on_canvases(skinned(forward(skeleton, pose), skin), cameras, settings)
+        return on_canvases(skin_nodes(forward(skeleton, pose), skin), cameras, settings)
 
     return Program(projected_nodes, "projected_nodes", settings, "full")
 
@@ -195,7 +195,7 @@ class RimFinder:
         """Prepare for a surface around a skeleton; traces once for a number of cameras."""
         self.settings = settings or RimSettings()
         joints, spacing = rest_joints(skeleton), self.settings.spacing
-        self.initial_shape = self.shape_of(skeleton, resampled(surface, joints, spacing))
+        self.initial_shape = self.shape_of(skeleton, resample_surface(surface, joints, spacing))
         self.morph = None
         if morphing is not None and morphing.drivers:
             self.morph = morph_around(morphing, skeleton.tree, surface, joints, spacing)

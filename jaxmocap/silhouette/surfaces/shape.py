@@ -21,16 +21,21 @@ from scipy.linalg import block_diag
 
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.proportions import LENGTHS, covariance_among_people, scaled, stretched
+from jaxmocap.body.proportions import (
+    LENGTHS,
+    covariance_among_people,
+    scale_skeleton,
+    stretch_points,
+)
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
-from jaxmocap.body.surfaces.surface import Surface, posed
+from jaxmocap.body.surfaces.surface import Surface, pose_points
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.fit.correspond import ContourPairs, pairs_of
 from jaxmocap.silhouette.points import linearised_rays
 from jaxmocap.silhouette.surfaces.morph import Morph, driver_values, moved_points
-from jaxmocap.silhouette.surfaces.swelling import fields_of, reshaped
+from jaxmocap.silhouette.surfaces.swelling import fields_of, swell_surface
 
 # Deviation of a pair, metres, such that a whole recording's pairs count as what they are worth:
 # neighbours on a contour err alike, and so does one place of the body in all frames.
@@ -85,8 +90,8 @@ def _by_lengths(skeleton: Skeleton, pose: Pose, pairs: ContourPairs, count: int)
     """(N, 3, L) derivatives of the pairs' points, world, by logarithms of the bones' lengths."""
 
     def placed(logarithms: Array) -> Array:
-        points = stretched(skeleton, pairs.points, logarithms)
-        return posed(forward(scaled(skeleton, logarithms), pose), points)
+        points = stretch_points(skeleton, pairs.points, logarithms)
+        return pose_points(forward(scale_skeleton(skeleton, logarithms), pose), points)
 
     return jax.jacfwd(placed)(jnp.zeros(count, skeleton.lengths.dtype))
 
@@ -152,9 +157,9 @@ class ShapeEstimator:
         self.amounts = self.amounts - np.linalg.solve(H, slope)
         self._forget()
         amounts, logarithms = np.split(self.amounts, [len(self.fields.names)])
-        surface = reshaped(self._generic, self.fields, amounts)
+        surface = swell_surface(self._generic, self.fields, amounts)
         if not self._lengths:
             return self._skeleton, surface
         longer = jnp.asarray(logarithms, self._skeleton.lengths.dtype)
-        points = stretched(self._skeleton, surface.points, longer)
-        return scaled(self._skeleton, longer), replace(surface, points=points)
+        points = stretch_points(self._skeleton, surface.points, longer)
+        return scale_skeleton(self._skeleton, longer), replace(surface, points=points)

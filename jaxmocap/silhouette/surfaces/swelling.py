@@ -21,8 +21,8 @@ from jaxmocap.body.surfaces.morphing import Driver, Morphing, Swelling, Transiti
 from jaxmocap.body.surfaces.surface import (
     Patch,
     Surface,
-    resampled,
-    resampled_moves,
+    resample_moves,
+    resample_surface,
     rest_nodes,
 )
 from jaxmocap.body.tree import Tree
@@ -62,7 +62,7 @@ def fields_of(surface: Surface, joints: np.ndarray) -> SwellingFields:
     return SwellingFields(names, moves, np.array([KINDS[kind] for _, kind, _ in names]))
 
 
-def reshaped(surface: Surface, fields: SwellingFields, amounts: np.ndarray) -> Surface:
+def swell_surface(surface: Surface, fields: SwellingFields, amounts: np.ndarray) -> Surface:
     """The surface with amounts (P,) of its fields."""
     points = surface.points
     moved = np.asarray(points.points_bone) + (fields.moves @ amounts)[:, None]
@@ -187,7 +187,7 @@ def transition_offsets(
     for patch in surface.patches:
         if transition.patches and patch.name not in transition.patches:
             moves[patch.nodes] = 0.0
-    return moves if spacing is None else resampled_moves(surface, joints, spacing, moves)
+    return moves if spacing is None else resample_moves(surface, joints, spacing, moves)
 
 
 def morph_around(
@@ -200,7 +200,7 @@ def morph_around(
     """A morphing of one skeleton and the surface around it.
 
     ``joints`` (B, 3) are of the bones with all angles 0, metres; ``spacing``, metres, is of the
-    nodes that go along, if those are ``resampled``.
+    nodes that go along, if those come from ``resample_surface``.
 
     Raises:
         KeyError: no such joint, or no such weighting.
@@ -209,7 +209,7 @@ def morph_around(
     if not (morphing.swellings or morphing.transitions):
         return morph_of(morphing, tree)
     drivers = morphing.drivers
-    worn = surface if spacing is None else resampled(surface, joints, spacing)
+    worn = surface if spacing is None else resample_surface(surface, joints, spacing)
     moves = swelling_moves(worn, joints, drivers, morphing.swellings)
     for transition in morphing.transitions:
         gone = transition_offsets(surface, joints, transition, spacing)

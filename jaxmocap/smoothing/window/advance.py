@@ -96,12 +96,12 @@ def advance(
             samples has them once the second one came. NaN where missing.
         is_last: () whether all that waits is given out.
     """
-    events = state.events.joined(news)
+    events = state.events.join_news(news)
     events = events._replace(measured={**events.measured, "markers": markers_world})
     drawn = state.drawn and state.drawn.without_rows(state.events.filled, NEW)
     state = state._replace(events=events, drawn=drawn, pace=_pace(state.pace, events))
     weighed = with_lasting(settings, (state.pace * LASTING_HZ) ** -0.5)
-    state, window = _solved(model, weighed, state)
+    state, window = _solve_window(model, weighed, state)
     first, given, left = _schedule(model, state, is_last)
     state = _sure(weighed, state, window, first, given)
     now = unpack(window.poses[jnp.maximum(first - 1, 0)])
@@ -114,7 +114,7 @@ def advance(
     )  # fmt: skip
     last_given = jnp.where(given > first, window.poses[given - 1], state.last_given)
     state = state._replace(given=given, last_given=last_given)
-    return _shortened(weighed, state, window, left), advanced
+    return _shorten_state(weighed, state, window, left), advanced
 
 
 def _pace(pace: Array, events: EventArrays) -> Array:
@@ -126,7 +126,7 @@ def _pace(pace: Array, events: EventArrays) -> Array:
     return jnp.where(has_changed, mean, pace)
 
 
-def _solved(
+def _solve_window(
     model: Model, settings: SmoothingSettings, state: WindowState
 ) -> tuple[WindowState, Window]:
     """The window, or one with an arm where the search has it, where that costs less."""
@@ -232,7 +232,7 @@ def _sure(
     return state._replace(variances=variances, stated=jnp.where(is_due, 1, stated))
 
 
-def _shortened(
+def _shorten_state(
     settings: SmoothingSettings, state: WindowState, window: Window, left: Array
 ) -> WindowState:
     """The state without the first so many events, condensed, about where the window is now."""

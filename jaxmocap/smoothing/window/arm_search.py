@@ -68,7 +68,7 @@ def search_arms(
     one = jax.tree.map(lambda part: part[None], pose)
     arms, own = candidates(model, settings.elbow_path, one)
     points, costs = jnp.stack([arms.elbow, arms.wrist, arms.tip], 3)[0], own[0]
-    coarse, soft = grids.halved(), jnp.asarray(SOFTNESS, pose.angles.dtype)
+    coarse, soft = grids.halve(), jnp.asarray(SOFTNESS, pose.angles.dtype)
 
     def of_camera(c: Array, total: Array) -> Array:
         def priced() -> Array:

@@ -16,7 +16,7 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract, unpack
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.compilation.arrays import packed, unpacked
+from jaxmocap.compilation.arrays import pack_leaves, unpack_leaves
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.running import NO_GRIDS, MeasuredFrame
 from jaxmocap.evidence.ground import ANKLES
@@ -75,7 +75,7 @@ class Expected(NamedTuple):
     ankles: Array | np.ndarray  # (2, 3) of the markers' pose, world, metres
 
 
-def expected_at(
+def expect_poses(
     skeleton: Skeleton, last: np.ndarray, before: np.ndarray, alone: Sequence[np.ndarray]
 ) -> list[Expected]:
     """At some events in turn: the last pose moved as the markers' poses moved, and what those tell.
@@ -88,19 +88,19 @@ def expected_at(
     """
     shapes, result = Expected(unpack(last), *_EXPECTED_SHAPES), []
     for now in alone:
-        result.append(unpacked(np.asarray(_expected(skeleton, last, before, now)), shapes))
+        result.append(unpack_leaves(np.asarray(_expect_pose(skeleton, last, before, now)), shapes))
         last, before = np.concatenate(result[-1].pose), now
     return result
 
 
 @program("quick")
-def _expected(skeleton: Skeleton, last: Array, before: Array, now: Array) -> Array:
+def _expect_pose(skeleton: Skeleton, last: Array, before: Array, now: Array) -> Array:
     """Packed ``Expected``, of the last pose and of the markers' there and now, packed (7 + D,)."""
     there = unpack(now)
     moved = retract(unpack(last), difference(there, unpack(before)))
     R = quaternion_to_matrix(there.quaternion)
     ankles = landmarks(skeleton, there)[ANKLES]
-    return packed(Expected(moved, R[:2, 0], R[:2, 2], ankles))
+    return pack_leaves(Expected(moved, R[:2, 0], R[:2, 2], ankles))
 
 
 # A camera, what was measured in its frame, width and height of that.

@@ -84,10 +84,10 @@ def solve(
         fit = _fits(model, settings, events, last.poses)
         drawn = last.drawn and last.drawn.about(last.steps)
         if drawn is not None:
-            drawn = _drawn_again(model, settings, events, drawn, fit, last.poses)
+            drawn = _draw_again(model, settings, events, drawn, fit, last.poses)
         marginal = last.marginal.about(last.steps[:REACH])
         now = last._replace(fit=fit, drawn=drawn, marginal=marginal)
-        return count + 1, _moved(model, settings, events, now)
+        return count + 1, _move_events(model, settings, events, now)
 
     fewest, most = steps
     count, size = len(events.since), len(marginal.gradient) // REACH
@@ -123,7 +123,9 @@ def evidence_of(
     return Evidence(hessian, gradient, fit.points, fit.jacobian, stencil)
 
 
-def _moved(model: Model, settings: SmoothingSettings, events: EventArrays, now: Window) -> Window:
+def _move_events(
+    model: Model, settings: SmoothingSettings, events: EventArrays, now: Window
+) -> Window:
     """All events by the equations' steps, as far as the derivatives are to be trusted."""
     evidence = evidence_of(settings, events, now.fit, now.drawn)
     scale, origins = _scale(events, now.fit, evidence), unpack(now.poses)
@@ -207,7 +209,7 @@ def _in_parts(call: Callable, count: Array, stacked: tuple) -> Any:
     return jax.lax.fori_loop(0, (count + AT_ONCE - 1) // AT_ONCE, one, nothing)
 
 
-def _drawn_again(
+def _draw_again(
     model: Model,
     settings: SmoothingSettings,
     events: EventArrays,

@@ -43,7 +43,7 @@ class EventArrays(NamedTuple):
     grids: SilhouetteGrids | None  # (E, C, ...) what these show; None without cameras
     lines: SightLines | None = None  # (E, K, ...) of cameras with key points; None where none has
 
-    def joined(self, news: "EventArrays") -> "EventArrays":
+    def join_news(self, news: "EventArrays") -> "EventArrays":
         """With ``NEW`` others behind; there must be room."""
 
         def behind(own: Array, other: Array) -> Array:

@@ -155,7 +155,7 @@ def between_events(
 
 
 def track_poses(model: Model, track: Sequence[TrackPose]) -> np.ndarray:
-    """Packed poses (G, 7 + D), moved by their offsets, near their markers (``moved_near_markers``).
+    """Packed poses (G, 7 + D), moved by their offsets, near their markers (``move_near_markers``).
 
     Args:
         model: M markers, D degrees of freedom.
@@ -184,7 +184,7 @@ def _track_poses(
         earlier, before, after, later = (unpack(each) for each in events)
         ways = (difference(before, earlier), difference(after, before), difference(later, after))
         there = retract(before, cubic_step(*ways, spans, share))
-        return pack(moved_near_markers(model, there, offset, markers_world))
+        return pack(move_near_markers(model, there, offset, markers_world))
 
     return jax.vmap(one)(events, spans, share, markers_world, offset)
 
@@ -217,7 +217,7 @@ def cubic_step(first: Any, way: Any, last: Any, spans: Any, share: Any) -> Any:
     )
 
 
-def moved_near_markers(
+def move_near_markers(
     model: Model,
     pose: Pose,
     offset: Array,

@@ -50,7 +50,7 @@ class Exerciser(RiggedMesh):
     def places(self, channels: np.ndarray) -> np.ndarray:
         """(T, 3) of the hips' middle by channels (T, 28), the lowest point as high as they say."""
         stance = KeyStance.split(channels)
-        _, joints = self.chained(self._turned(stance), np.zeros((len(channels), 3)))
+        _, joints = self.chain_turns(self._joint_turns(stance), np.zeros((len(channels), 3)))
         soles = [joints[:, self.body.names.index(name), 2] - r for name, r in SKIN_DEPTHS_M.items()]
         # The skin's lowest point, smooth in time.
         lowest = -SOFT_MINIMUM_M * np.logaddexp.reduce(-np.array(soles) / SOFT_MINIMUM_M, 0)
@@ -58,17 +58,17 @@ class Exerciser(RiggedMesh):
 
     def rig_at(self, channels: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``rig`` by channels (T, 28), the hips' middle at places (T, 3)."""
-        turned = self._turned(KeyStance.split(channels))
-        R, joints = self.chained(turned, np.zeros((len(channels), 3)))
+        turned = self._joint_turns(KeyStance.split(channels))
+        R, joints = self.chain_turns(turned, np.zeros((len(channels), 3)))
         joints = joints + places[:, None]
         if self.hands is None:
             return R, joints
         for side, out, hand in (("Left", 1.0, self.hands[0]), ("Right", -1.0, self.hands[1])):
             shoulder = joints[:, self.body.names.index(side + "Arm")]
-            turned |= self._planted(turned["Hips"], shoulder, hand, side, out)
-        return self.chained(turned, places)
+            turned |= self._plant_arm(turned["Hips"], shoulder, hand, side, out)
+        return self.chain_turns(turned, places)
 
-    def _turned(self, stance: StanceChannels) -> dict[str, np.ndarray]:
+    def _joint_turns(self, stance: StanceChannels) -> dict[str, np.ndarray]:
         """Joint -> its turn (T, 3, 3) from rest, where it differs from its parent's."""
         hips = Rotation.from_euler("ZYX", stance.turn, degrees=True).as_matrix()
         chest = hips @ Rotation.from_euler("YXZ", stance.back, degrees=True).as_matrix()
@@ -107,7 +107,7 @@ class Exerciser(RiggedMesh):
             side + "ForeArm": rotation_onto(lower, hinge, wrist - elbow, rest),
         }
 
-    def _planted(
+    def _plant_arm(
         self, hips: np.ndarray, shoulder: np.ndarray, hand: np.ndarray, side: str, out: float
     ) -> dict[str, np.ndarray]:
         """Turns of an arm whose wrist stands at ``hand`` (3,), its elbow out and back."""

@@ -66,12 +66,12 @@ _CROSSED = replace(_APART, leg_l=(20.0, -13.0, 0.0, 12.0, 6.0), leg_r=(-10.0, -1
 
 def push_ups(seconds: float, rng: np.random.Generator) -> Keys:
     """Down and up on planted hands."""
-    return _repeated((_HIGH, _LOW), seconds, 0.62, rng)
+    return _repeat_stances((_HIGH, _LOW), seconds, 0.62, rng)
 
 
 def sit_ups(seconds: float, rng: np.random.Generator) -> Keys:
     """Up from the back and down again, the hands towards the knees."""
-    return _repeated((_LYING, _SITTING), seconds, 0.8, rng)
+    return _repeat_stances((_LYING, _SITTING), seconds, 0.8, rng)
 
 
 def arm_raises(seconds: float, rng: np.random.Generator) -> Keys:
@@ -81,18 +81,18 @@ def arm_raises(seconds: float, rng: np.random.Generator) -> Keys:
         *((8.0, 158.0, 0.0, 14.0), (6.0, 88.0, 0.0, 8.0), (20.0, 14.0, 0.0, 118.0)),
     ]
     stances = (STANDING, *(replace(STANDING, arm_l=arm, arm_r=arm) for arm in raised))
-    return _repeated(stances, seconds, 0.46, rng)
+    return _repeat_stances(stances, seconds, 0.46, rng)
 
 
 def overhead(seconds: float, rng: np.random.Generator) -> Keys:
     """Arms up to 150 degrees before the shoulder blades and to the front, and down again."""
     up = (50.0, 100.0, 150.0, 100.0, 50.0)
-    raised = [_raised(elevation, ahead) for ahead in (45.0, 80.0) for elevation in (10.0, *up)]
+    raised = [_raise_arm(elevation, ahead) for ahead in (45.0, 80.0) for elevation in (10.0, *up)]
     stances = tuple(replace(STANDING, arm_l=arm, arm_r=arm) for arm in raised)
-    return _repeated(stances, seconds, 0.27, rng)
+    return _repeat_stances(stances, seconds, 0.27, rng)
 
 
-def _raised(elevation: float, ahead: float) -> tuple[float, float, float, float]:
+def _raise_arm(elevation: float, ahead: float) -> tuple[float, float, float, float]:
     """An arm so far from hanging, in a plane so far from the side to the front; degrees.
 
     It turns outwards on its way up, as arms do: flexed first and then abducted it is not rotated.
@@ -115,14 +115,14 @@ def turning(seconds: float, rng: np.random.Generator) -> Keys:
         arms = [(*getattr(stance, f"arm_{s}")[:3], bent) for s in "lr"]
         here = replace(stance, place=(x, 0.0), arm_l=arms[0], arm_r=arms[1])
         keys.append((share * seconds, replace(here, turn=(stance.turn[0] + yaw, *stance.turn[1:]))))
-    return _varied(keys, rng)
+    return _vary_stances(keys, rng)
 
 
 def walking(seconds: float, rng: np.random.Generator) -> Keys:
     """Straight on towards the first camera, through the middle."""
     steps = max(2, round(2 * seconds / 0.55))
     middle = 0.2 * seconds
-    return _varied(
+    return _vary_stances(
         [
             (i / steps * seconds, replace(stance, place=(0.4 * seconds * i / steps - middle, 0.0)))
             for i, stance in enumerate(_gait(steps))
@@ -142,13 +142,13 @@ def jumping(seconds: float, rng: np.random.Generator) -> Keys:
     while start < seconds:
         keys += [(start + t, stance) for t, stance in after]
         start += rng.uniform(1.8, 2.0)
-    return _varied([*keys, (start, STANDING)], rng)
+    return _vary_stances([*keys, (start, STANDING)], rng)
 
 
 def scissors(seconds: float, rng: np.random.Generator) -> Keys:
     """Legs apart and crossed in hops, left and right in front in turn."""
     apart = replace(_APART, lift=0.03)
-    return _repeated((apart, _CROSSED, apart, _CROSSED.mirrored()), seconds, 0.42, rng)
+    return _repeat_stances((apart, _CROSSED, apart, _CROSSED.mirror()), seconds, 0.42, rng)
 
 
 EXERCISES: dict[str, Callable[[float, np.random.Generator], Keys]] = {
@@ -185,11 +185,11 @@ def exercise(
 
 def _gait(steps: int) -> list[KeyStance]:
     """Heel strikes and swings in turn: ``steps`` halves of steps, and the last one's end."""
-    cycle = (_STRIKE, _PASSING, _STRIKE.mirrored(), _PASSING.mirrored())
+    cycle = (_STRIKE, _PASSING, _STRIKE.mirror(), _PASSING.mirror())
     return [cycle[i % 4] for i in range(steps + 1)]
 
 
-def _repeated(
+def _repeat_stances(
     stances: tuple[KeyStance, ...], seconds: float, pace: float, rng: np.random.Generator
 ) -> Keys:
     """Stances in turn, about ``pace`` seconds apart, for so many seconds."""
@@ -197,10 +197,10 @@ def _repeated(
     while now < seconds + pace:
         keys.append((now, stances[len(keys) % len(stances)]))
         now += pace * rng.uniform(0.9, 1.1)
-    return _varied(keys, rng)
+    return _vary_stances(keys, rng)
 
 
-def _varied(keys: Keys, rng: np.random.Generator) -> Keys:
+def _vary_stances(keys: Keys, rng: np.random.Generator) -> Keys:
     """The same with random variations of each stance."""
 
     def by(angles: tuple) -> tuple:

@@ -142,15 +142,17 @@ def table_tennis(
             raise ValueError(f"unknown stroke {stroke!r}; expected one of {', '.join(STROKES)}")
     rng = np.random.default_rng(seed)
     figure = varied_figure(height, rng)
-    keys, starts, now, first = [(0.0, _eased(READY, rng))], [], REST_S, int(rng.integers(2))
+    keys, starts, now, first = [(0.0, _ease_elbows(READY, rng))], [], REST_S, int(rng.integers(2))
     while not starts or now < seconds:
         number = len(starts)
         starts.append(now)
         pace = rng.uniform(1.25, 1.4)
         for after, posture in STROKES[strokes[number % len(strokes)]]:
-            keys.append((now + pace * after, _lifted(_varied(posture, rng), rng, first + number)))
+            keys.append(
+                (now + pace * after, _lift_elbows(_vary_posture(posture, rng), rng, first + number))
+            )
         now = keys[-1][0] + RECOVERY_S
-        keys.append((now, _eased(READY, rng)))
+        keys.append((now, _ease_elbows(READY, rng)))
     return Performance(figure, spline_through(keys), np.array(starts))
 
 
@@ -174,7 +176,7 @@ def reaching(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Perfo
     """Left and right hand in turn to places around the body, at elbow heights of their own."""
     rng = np.random.default_rng(seed)
     figure = varied_figure(height, rng)
-    keys, starts, now = [(0.0, _eased(STANDING, rng))], [], 0.3
+    keys, starts, now = [(0.0, _ease_elbows(STANDING, rng))], [], 0.3
     while not starts or now < seconds:
         # Ahead, between chest and head, at four fifths of the arm's length.
         goal = np.array([0.8, rng.uniform(-0.25, 0.6), rng.uniform(-0.5, 0.4)])
@@ -193,8 +195,8 @@ def _reaching_to(
 ) -> Posture:
     """A trunk with one hand at a goal (3,), by the arm's length; the other arm at ease."""
     other = "r" if side == "l" else "l"
-    lifted = _lifted(trunk, rng, turn)
-    eased = getattr(_eased(trunk, rng), f"swivel_{other}")
+    lifted = _lift_elbows(trunk, rng, turn)
+    eased = getattr(_ease_elbows(trunk, rng), f"swivel_{other}")
     changed: dict[str, Any] = {f"reach_{side}": tuple(goal), f"swivel_{other}": eased}
     return replace(lifted, **changed)
 
@@ -203,7 +205,7 @@ def across(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Perform
     """Left and right hand in turn to the other side, where the trunk turns along and stays."""
     rng = np.random.default_rng([seed, 44])
     figure = varied_figure(height, rng)
-    keys, starts, now = [(0.0, _eased(STANDING, rng))], [], 0.3
+    keys, starts, now = [(0.0, _ease_elbows(STANDING, rng))], [], 0.3
     while not starts or now < seconds:
         goal = np.array([0.7, rng.uniform(-0.75, -0.25), rng.uniform(-0.5, 0.35)])
         goal *= rng.uniform(0.78, 0.92) / np.linalg.norm(goal)
@@ -224,11 +226,11 @@ def raises(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Perform
     """Both arms to the front, to the sides and overhead, and down again each time."""
     rng = np.random.default_rng(seed)
     figure = varied_figure(height, rng)
-    keys, starts, now = [(0.0, _eased(STANDING, rng))], [], 0.3
+    keys, starts, now = [(0.0, _ease_elbows(STANDING, rng))], [], 0.3
     while not starts or now < seconds:
         place = RAISED[len(starts) % len(RAISED)]
-        up = _eased(_varied(replace(STANDING, reach_l=place, reach_r=place), rng), rng)
-        keys += [(now + 0.7, up), (now + 1.0, up), (now + 1.7, _eased(STANDING, rng))]
+        up = _ease_elbows(_vary_posture(replace(STANDING, reach_l=place, reach_r=place), rng), rng)
+        keys += [(now + 0.7, up), (now + 1.0, up), (now + 1.7, _ease_elbows(STANDING, rng))]
         starts.append(now)
         now += 1.8
     return Performance(figure, spline_through(keys), np.array(starts))
@@ -246,20 +248,20 @@ def thrust(
     """
     rng = np.random.default_rng(seed)
     figure = varied_figure(height, rng)
-    guard = _aimed(GUARD, azimuth, FOLDED_REACH, FOLDED_REACH)
-    keys, starts, now = [(0.0, _eased(guard, rng))], [], 0.2
+    guard = _aim_at(GUARD, azimuth, FOLDED_REACH, FOLDED_REACH)
+    keys, starts, now = [(0.0, _ease_elbows(guard, rng))], [], 0.2
     while not starts or now < seconds:
         left, right = rng.uniform(*STRETCHED_REACH, 2)
         fists = ((left, FOLDED_REACH), (FOLDED_REACH, right), (left, right))[len(starts) % 3]
-        aimed = _aimed(replace(GUARD, twist=rng.uniform(-4, 4)), azimuth, *fists)
-        struck = _lifted(aimed, rng, len(starts))
-        keys += [(now + 0.30, struck), (now + 0.40, struck), (now + 0.75, _eased(guard, rng))]
+        aimed = _aim_at(replace(GUARD, twist=rng.uniform(-4, 4)), azimuth, *fists)
+        struck = _lift_elbows(aimed, rng, len(starts))
+        keys += [(now + 0.30, struck), (now + 0.40, struck), (now + 0.75, _ease_elbows(guard, rng))]
         starts.append(now)
         now += 0.85
     return Performance(figure, spline_through(keys), np.array(starts))
 
 
-def _aimed(posture: Posture, azimuth: float, left: float, right: float) -> Posture:
+def _aim_at(posture: Posture, azimuth: float, left: float, right: float) -> Posture:
     """Hips and chest half the way to an azimuth, fists so many arm lengths ahead, all the way."""
     # In the chest's frame: what is left of the way, and the lean of trunk and chest undone.
     rest = np.deg2rad(azimuth / 2 - posture.twist)
@@ -276,20 +278,20 @@ def _aimed(posture: Posture, azimuth: float, left: float, right: float) -> Postu
     )
 
 
-def _eased(posture: Posture, rng: np.random.Generator) -> Posture:
+def _ease_elbows(posture: Posture, rng: np.random.Generator) -> Posture:
     """The posture with its elbows between low and high."""
     left, right = rng.uniform(*MIDDLE_SWIVEL_DEG, 2)
     return replace(posture, swivel_l=left, swivel_r=right)
 
 
-def _lifted(posture: Posture, rng: np.random.Generator, number: int) -> Posture:
+def _lift_elbows(posture: Posture, rng: np.random.Generator, number: int) -> Posture:
     """The posture with its elbows low or high, the two sides in opposite turns."""
     high, low = rng.uniform(*HIGH_SWIVEL_DEG), rng.uniform(*LOW_SWIVEL_DEG)
     left, right = (low, high) if number % 2 else (high, low)
     return replace(posture, swivel_l=left, swivel_r=right)
 
 
-def _varied(posture: Posture, rng: np.random.Generator) -> Posture:
+def _vary_posture(posture: Posture, rng: np.random.Generator) -> Posture:
     """The posture with random variations: no two strokes are the same."""
     around = {
         name: tuple(np.asarray(getattr(posture, name)) + rng.uniform(-0.05, 0.05, 3))

@@ -64,7 +64,7 @@ class KeyStance:
         """(28,) all of it."""
         return np.concatenate([np.ravel(getattr(self, field.name)) for field in fields(self)])
 
-    def mirrored(self) -> "KeyStance":
+    def mirror(self) -> "KeyStance":
         """Left and right in each other's place."""
         (x, y), (yaw, pitch, roll), (bow, side, twist) = self.place, self.turn, self.back
         return replace(

@@ -78,7 +78,7 @@ class Actor:
     def vertices(self, times: np.ndarray) -> np.ndarray:
         """(T, V, 3) in the world, metres, at (T,) times, seconds."""
         joints, R = self.performance.bones(times)
-        return self.mesh.posed(R, joints - np.einsum("tbij,bj->tbi", R, self.rest))
+        return self.mesh.pose_vertices(R, joints - np.einsum("tbij,bj->tbi", R, self.rest))
 
     def landmarks(self, times: np.ndarray) -> dict[str, np.ndarray]:
         """Landmark name -> (T, 3), world, metres."""
@@ -170,14 +170,14 @@ class _PersonMesh:
         radii = rows[:, :2]
         for end, wanted in ((0, caps[0]), (-1, caps[1])):
             if wanted:
-                centres, radii = _capped(centres, radii, end)
+                centres, radii = _cap_tube(centres, radii, end)
         sides = sides * self.detail
         swell = 1 + folds * waves(self.rng, len(centres), sides)
         # A limb is upright at rest.
         forward = np.array([1.0, 0.0, 0.0])
         across = forward, np.cross(reach / np.linalg.norm(reach), forward)
         vertices = loft(centres, radii, across, sides, swell=swell)
-        return self._painted(vertices, len(centres), sides, colour, i, 0.05 + 2 * folds)
+        return self._paint_rings(vertices, len(centres), sides, colour, i, 0.05 + 2 * folds)
 
     def _trunk(self) -> list[QuadMesh]:
         names = ("hip_l", "spine1", "spine2", "spine3")
@@ -195,12 +195,12 @@ class _PersonMesh:
             across = (np.array([1.0, 0, 0]), np.array([0, 1.0, 0]))
             swell = 1 + folds * waves(self.rng, rings, sides, around=7)
             vertices = loft(centres, radii, across, sides, exponent=2.5, swell=swell)
-            part = self._painted(vertices, rings, sides, colour, 0, 0.10)
-            parts.append(_blended(part, bones, np.array(middles)))
-        parts[0] = self._printed(parts[0])
+            part = self._paint_rings(vertices, rings, sides, colour, 0, 0.10)
+            parts.append(_blend_part(part, bones, np.array(middles)))
+        parts[0] = self._print_shirt(parts[0])
         return parts
 
-    def _printed(self, shirt: QuadMesh) -> QuadMesh:
+    def _print_shirt(self, shirt: QuadMesh) -> QuadMesh:
         """Stripes across the chest and a patch at the front."""
         middle = shirt.vertices[shirt.faces].mean(1)
         top = middle[:, 2].max()
@@ -254,9 +254,9 @@ class _PersonMesh:
         centres = centre + heights * size[2] * [0.0, 0.0, 1.0]
         across = (np.array([1.0, 0, 0]), np.array([0, 1.0, 0]))
         vertices = loft(centres, np.sin(polar) ** power * size[:2], across, sides, exponent)
-        return self._painted(vertices, rings, sides, colour, self.tree.bone(bone), 0.05)
+        return self._paint_rings(vertices, rings, sides, colour, self.tree.bone(bone), 0.05)
 
-    def _painted(
+    def _paint_rings(
         self,
         vertices: np.ndarray,
         rings: int,
@@ -276,7 +276,7 @@ class _PersonMesh:
         return QuadMesh(vertices, grid_faces(rings, sides), colours, bones, weights)
 
 
-def _capped(centres: np.ndarray, radii: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:
+def _cap_tube(centres: np.ndarray, radii: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:
     """Rings that round off one end (0 or -1) of a tube."""
     inner = 1 if end == 0 else -2
     axis = centres[end] - centres[inner]
@@ -288,7 +288,7 @@ def _capped(centres: np.ndarray, radii: np.ndarray, end: int) -> tuple[np.ndarra
     return np.concatenate([centres, middles]), np.concatenate([radii, rings])
 
 
-def _blended(part: QuadMesh, bones: np.ndarray, middles: np.ndarray) -> QuadMesh:
+def _blend_part(part: QuadMesh, bones: np.ndarray, middles: np.ndarray) -> QuadMesh:
     """A part carried by the two of several stacked bones whose middles (heights) are nearest."""
     z = np.clip(part.vertices[:, 2], middles[0], middles[-1])
     below = np.clip(np.searchsorted(middles, z, side="right") - 1, 0, len(middles) - 2)

@@ -197,7 +197,7 @@ class Figure:
         shoulder = neck + (R_clavicle @ self.reach(clavicle))
         rest = neck + R_chest @ self.reach(clavicle)
         towards = rest + np.einsum("tij,tj->ti", R_chest, target) - shoulder
-        axis, distance = _saturated(towards, sum(lengths))
+        axis, distance = _saturate_reach(towards, sum(lengths))
         side_chest = _elbow_side(np.einsum("tji,tj->ti", R_chest, axis), out * swivel)
         bend = np.einsum("tij,tj->ti", R_chest, side_chest)
         end = shoulder + distance * axis
@@ -256,7 +256,7 @@ def middle_joint(
     return start + along * u + np.sqrt(np.maximum(a * a - along * along, 0.0)) * side
 
 
-def _saturated(vectors: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+def _saturate_reach(vectors: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
     """Directions, and lengths (T, 1) kept smoothly within what an arm of that length reaches."""
     d = np.linalg.norm(vectors, axis=-1, keepdims=True)
     near, far, softness = NEAREST_REACH * length, FARTHEST_REACH * length, 0.02 * length

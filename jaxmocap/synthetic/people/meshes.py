@@ -19,7 +19,7 @@ class QuadMesh:
     bones: np.ndarray  # (V, K) indices of the bones that carry a vertex
     weights: np.ndarray  # (V, K) their shares, adding up to 1
 
-    def posed(self, R_world_bone: np.ndarray, shifts: np.ndarray) -> np.ndarray:
+    def pose_vertices(self, R_world_bone: np.ndarray, shifts: np.ndarray) -> np.ndarray:
         """Vertices (T, V, 3) with the bones moved by turns (T, B, 3, 3) from their rest.
 
         ``shifts`` (T, B, 3) are where a bone's turn takes the rest frame's origin, metres.

@@ -103,9 +103,9 @@ class RiggedMesh(ABC):
     def vertices(self, times: np.ndarray) -> np.ndarray:
         """(T, V, 3) in the world, metres, at (T,) times, seconds."""
         R, joints = self.rig(times)
-        return self.mesh.posed(R, joints - np.einsum("tjab,jb->tja", R, self.body.rest))
+        return self.mesh.pose_vertices(R, joints - np.einsum("tjab,jb->tja", R, self.body.rest))
 
-    def chained(
+    def chain_turns(
         self, turned: dict[str, np.ndarray], legs: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """``rig`` by turns (T, 3, 3) of some joints, and the hips' middle (T, 3).

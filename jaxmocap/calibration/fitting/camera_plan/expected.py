@@ -28,7 +28,7 @@ from jaxmocap.evidence.appearance.learned import (
     ROWS,
     landmark_halves,
 )
-from jaxmocap.evidence.expansion import linearised
+from jaxmocap.evidence.expansion import linearise_terms
 from jaxmocap.evidence.silhouettes import (
     HIDDEN_BEYOND_M,
     HIDDEN_SOFTLY_M,
@@ -72,12 +72,12 @@ class Information(NamedTuple):
 def of_markers(model: Model, settings: SmoothingSettings, movement: Movement) -> Information:
     """The information of markers and priors, without any camera; bones are taken as they are.
 
-    Errors that are alike count once in the settings (``uncertainty.counted_once``).
+    Errors that are alike count once in the settings (``uncertainty.count_once``).
     """
     none = jnp.zeros(0, model.dtype)
 
     def of_moment(each: tuple[Pose, Measurements]) -> tuple[Array, Array]:
-        linear = linearised(settings.terms, model, none, *each)
+        linear = linearise_terms(settings.terms, model, none, *each)
         J = linear.jacobian
         return jnp.matmul(J.T, J, precision=HIGHEST), linear.points_jacobian
 

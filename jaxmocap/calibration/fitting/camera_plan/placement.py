@@ -188,7 +188,7 @@ def best_place(goal: Goal, bounds: Bounds, ring: Ring, show: Callable[[float], N
         raise ValueError(f"leaves no place {NEAREST_M:g} m from the person")
     found: list[tuple[float, np.ndarray]] = []
     for k, start in enumerate(starts):
-        found.append(_improved(goal, bounds, start))
+        found.append(_improve_place(goal, bounds, start))
         show((k + 1) / len(starts))
     place = _place(goal, min(found, key=lambda each: each[0])[1])
     error, slope = error_and_slope(goal, place)
@@ -210,7 +210,7 @@ def _starts(ring: Ring) -> list[np.ndarray]:
     return starts[:STARTS]
 
 
-def _improved(goal: Goal, bounds: Bounds, start: np.ndarray) -> tuple[float, np.ndarray]:
+def _improve_place(goal: Goal, bounds: Bounds, start: np.ndarray) -> tuple[float, np.ndarray]:
     """The error, metres, and the place at the end of a descent."""
 
     def cost(numbers: np.ndarray) -> tuple[float, np.ndarray]:

@@ -137,7 +137,7 @@ def thresholds(
         raise PhotographError(
             f"the background is not uniform: {100 * like:.0f} % of its samples at the image's "
             f"sides and top follow one smooth colour, expected at least {100 * LEAST_EVEN:.0f} %",
-            _marked(photograph, samples & odd, samples),
+            _mark_pixels(photograph, samples & odd, samples),
         )
     usual = samples & ~odd
     far_off, far_left = (float(np.quantile(v[usual], 0.999)) for v in (off, left))
@@ -189,13 +189,13 @@ def _check(mask: np.ndarray, photograph: np.ndarray) -> None:
         raise PhotographError(
             f"found nobody: {100 * area:.1f} % of the image differ from its background, expected "
             f"at least {100 * LEAST_AREA:.0f} %",
-            _marked(photograph, mask, none),
+            _mark_pixels(photograph, mask, none),
         )
     if area > MOST_AREA:
         raise PhotographError(
             f"{100 * area:.0f} % of the image differ from its background, expected at most "
             f"{100 * MOST_AREA:.0f} %: the person is too near or the background not uniform",
-            _marked(photograph, mask, none),
+            _mark_pixels(photograph, mask, none),
         )
     sides = {"left": mask[:, 0], "right": mask[:, -1], "upper": mask[0]}
     cut = [name for name, line in sides.items() if line.any()]
@@ -203,11 +203,11 @@ def _check(mask: np.ndarray, photograph: np.ndarray) -> None:
         raise PhotographError(
             f"the person is cut off at the {' and the '.join(cut)} side of the image, expected "
             "head, arms and hands within it",
-            _marked(photograph, mask, none),
+            _mark_pixels(photograph, mask, none),
         )
 
 
-def _marked(photograph: np.ndarray, red: np.ndarray, blue: np.ndarray) -> np.ndarray:
+def _mark_pixels(photograph: np.ndarray, red: np.ndarray, blue: np.ndarray) -> np.ndarray:
     """The photograph, paler, with pixels (H, W) bool in red, and others in blue."""
     picture = (photograph // 2 + 90).astype(np.uint8)
     picture[blue] = (picture[blue] // 2 + np.array([110, 40, 0])).astype(np.uint8)

@@ -59,7 +59,7 @@ SKIN_BGR = np.array([150.0, 175.0, 215.0])
 MESH_WIDTH = 900
 
 
-def outlined(photograph: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def draw_outline(photograph: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """The photograph, paler but for the person (H, W) bool, whose rim is drawn."""
     picture = np.where(mask[..., None], photograph, photograph // 2 + 100).astype(np.uint8)
     rims, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
@@ -83,7 +83,7 @@ def with_points(picture: np.ndarray, points: np.ndarray) -> np.ndarray:
     return picture
 
 
-def shaded(vertices: np.ndarray, faces: np.ndarray, turn: float) -> np.ndarray:
+def shade_mesh(vertices: np.ndarray, faces: np.ndarray, turn: float) -> np.ndarray:
     """A mesh (V, 3), (F, 3) from afar, z up: +x towards the viewer, who goes round by ``turn``."""
     cosine, sine = np.cos(turn), np.sin(turn)
     towards = np.array([cosine, sine, 0.0])

@@ -55,10 +55,10 @@ def medial_axis(mask: np.ndarray) -> MedialAxis:
     ridge[areas[np.asarray(pieces, int)] < SMALLEST] = 0
     rows, columns = np.nonzero(ridge)
     pixels = np.stack([columns, rows], 1)
-    return MedialAxis(pixels, distance[rows, columns], closed(pixels))
+    return MedialAxis(pixels, distance[rows, columns], close_gaps(pixels))
 
 
-def closed(pixels_xy: np.ndarray) -> csr_array:
+def close_gaps(pixels_xy: np.ndarray) -> csr_array:
     """(N, N) steps between neighbours of (N, 2) pixels, and the gaps that connect all, pixels.
 
     Of all gaps between two pieces' nearest pixels, those of the shortest tree.

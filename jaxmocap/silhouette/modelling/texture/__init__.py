@@ -1,4 +1,4 @@
 """The colours of a person's surface: photographs fused into one picture.
 
-Begin with ``fused``.
+Begin with ``blend_colours``.
 """

@@ -18,11 +18,11 @@ from jaxmocap.silhouette.modelling.pictures.medial_axis import rim_distance
 from jaxmocap.silhouette.modelling.pictures.views import PhotographView
 from jaxmocap.silhouette.modelling.texture.fusion import (
     background_colour,
-    closed_holes,
+    blend_colours,
+    close_holes,
     feathered_weight,
-    fused,
     gains,
-    resized,
+    resize_picture,
     sampled_colours,
     weighted_blur,
     wide_blend,
@@ -30,7 +30,7 @@ from jaxmocap.silhouette.modelling.texture.fusion import (
 from jaxmocap.silhouette.modelling.texture.texels import (
     SurfacePhotograph,
     Texels,
-    splatted,
+    splat_points,
     texels_of,
     visible_points,
 )
@@ -60,7 +60,7 @@ MIRRORED = 0.3
 Part = tuple[np.ndarray, np.ndarray]
 
 
-def baked(
+def bake_texture(
     surface: Surface, atlas: Atlas, mesh: SurfaceMesh, shots: Mapping[str, SurfacePhotograph]
 ) -> np.ndarray:
     """The atlas' picture (H, W, 3), BGR uint8, of a surface with the generic body's patches.
@@ -71,7 +71,7 @@ def baked(
     clouds = [texels_of(surface, atlas, mesh, shot.nodes_world) for shot in shots.values()]
     colours, weights = [], []
     for (name, shot), texels in zip(shots.items(), clouds, strict=True):
-        colour, weight = _looked_at(texels, atlas, shot)
+        colour, weight = _look_up_colours(texels, atlas, shot)
         counts = [COUNTS[name][patch.limb != "arm"] for patch in surface.patches]
         colours.append(colour)
         weights.append(weight * np.array(counts)[texels.patches])
@@ -82,11 +82,13 @@ def baked(
     evened = _of_one_light(atlas, at, colours, weights)
     picture = np.zeros((atlas.height, atlas.width, 3), np.float32)
     weight = np.zeros((atlas.height, atlas.width), np.float32)
-    picture[at], weight[at] = fused(evened, weights)
-    return np.clip(np.rint(_completed(surface, atlas, picture, weight)), 0, 255).astype(np.uint8)
+    picture[at], weight[at] = blend_colours(evened, weights)
+    return np.clip(np.rint(_complete_picture(surface, atlas, picture, weight)), 0, 255).astype(
+        np.uint8
+    )
 
 
-def _looked_at(
+def _look_up_colours(
     texels: Texels, atlas: Atlas, shot: SurfacePhotograph
 ) -> tuple[np.ndarray, np.ndarray]:
     """(K, 3) colours that a photograph shows at texels; (K,) how much it counts, from 0 to 1."""
@@ -133,7 +135,7 @@ def _of_one_light(
     return result
 
 
-def _completed(
+def _complete_picture(
     surface: Surface, atlas: Atlas, picture: np.ndarray, weight: np.ndarray
 ) -> np.ndarray:
     """The picture with every texel's colour, a margin around each rectangle too."""
@@ -142,7 +144,7 @@ def _completed(
         name: (picture[rectangle.within], weight[rectangle.within])
         for name, rectangle in zip(names, atlas.rectangles, strict=True)
     }
-    full = {name: _closed(part, _mirrored(parts, name)) for name, part in parts.items()}
+    full = {name: _close_colours(part, _other_side(parts, name)) for name, part in parts.items()}
     everything = np.zeros_like(picture)
     everything[:] = picture[weight > 0].mean(0) if weight.any() else 0
     for patch, rectangle in zip(surface.patches, atlas.rectangles, strict=True):
@@ -152,25 +154,25 @@ def _completed(
             colour = np.broadcast_to(leg[-1:].mean((0, 1)), (rectangle.height, rectangle.width, 3))
         if colour is not None:
             framed = np.pad(colour, [(MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0)], mode="edge")
-            everything[rectangle.framed(MARGIN)] = framed
+            everything[rectangle.with_margin(MARGIN)] = framed
     return everything
 
 
-def _mirrored(parts: Mapping[str, Part], name: str) -> Part:
+def _other_side(parts: Mapping[str, Part], name: str) -> Part:
     """What the other side shows, as if it were this one."""
     other = name[:-1] + {"l": "r", "r": "l"}[name[-1]] if name[-2:] in ("_l", "_r") else name
-    colour, weight = (resized(part, parts[name][1].shape) for part in parts[other])
+    colour, weight = (resize_picture(part, parts[name][1].shape) for part in parts[other])
     # Patches of both sides run the same way outwards; one in the middle has its sides within.
     return (colour[:, ::-1], weight[:, ::-1]) if other == name else (colour, weight)
 
 
-def _closed(own: Part, mirrored: Part) -> np.ndarray | None:
+def _close_colours(own: Part, mirrored: Part) -> np.ndarray | None:
     """A patch's colours everywhere; None where neither side shows any."""
-    blend, weight = fused([own[0], mirrored[0]], [own[1], MIRRORED * mirrored[1]])
+    blend, weight = blend_colours([own[0], mirrored[0]], [own[1], MIRRORED * mirrored[1]])
     if not weight.any():
         return None
     # The last column is the first once more.
-    closed = closed_holes(blend[:, :-1].astype(np.float32), weight[:, :-1] > 0)
+    closed = close_holes(blend[:, :-1].astype(np.float32), weight[:, :-1] > 0)
     return np.concatenate([closed, closed[:, :1]], 1)
 
 
@@ -205,7 +207,7 @@ class Avatar(NamedTuple):
             pixels = PIXELS_PER_METRE * np.stack([points @ aside, -points[:, 2]], 1) + size / 2
             front = texels.normals @ towards > 0
             cloud = pixels[front], -(points @ towards)[front], colours[front]
-            pictures.append(splatted(*cloud, (size[1], size[0]))[0])
+            pictures.append(splat_points(*cloud, (size[1], size[0]))[0])
         return np.hstack(pictures)
 
 
@@ -228,4 +230,4 @@ def avatar_of(
         name: SurfacePhotograph(images[name], views[name], at)
         for name, at in zip(person.poses, nodes, strict=True)
     }
-    return Avatar(person, atlas, mesh, baked(person.surface, atlas, mesh, shots), shots)
+    return Avatar(person, atlas, mesh, bake_texture(person.surface, atlas, mesh, shots), shots)

@@ -58,7 +58,7 @@ def gains(
     return np.array(factors)
 
 
-def fused(
+def blend_colours(
     colours: Sequence[np.ndarray], weights: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """The linear blend (..., 3) of P colours (..., 3) by weights (...), and the largest weight."""
@@ -83,7 +83,7 @@ def weighted_blur(values: np.ndarray, weight: np.ndarray, width: float) -> np.nd
     return blurred[..., :3] / np.maximum(blurred[..., 3:], 1e-6)
 
 
-def closed_holes(picture: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def close_holes(picture: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """A picture (H, W, 3) float32 that closes around, its unknown places filled from those about.
 
     By a pyramid: the coarser picture's colours, in which holes are small.
@@ -100,11 +100,11 @@ def closed_holes(picture: np.ndarray, valid: np.ndarray) -> np.ndarray:
     small, coarse_weight = (
         cv2.resize(p, narrow, interpolation=cv2.INTER_AREA) for p in (colour, there)
     )
-    filled = cv2.resize(_pulled(small, coarse_weight), (width + 2 * half, height))
+    filled = cv2.resize(_pull_colours(small, coarse_weight), (width + 2 * half, height))
     return np.where(valid[..., None], picture, filled[:, half : half + width]).astype(np.float32)
 
 
-def _pulled(colour: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _pull_colours(colour: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Colours times weights (H, W, 3), weights (H, W) -> colours everywhere."""
     own = colour / np.maximum(weight, 1e-6)[..., None]
     if min(weight.shape) < 2:
@@ -114,7 +114,7 @@ def _pulled(colour: np.ndarray, weight: np.ndarray) -> np.ndarray:
     small, coarse_weight = cv2.pyrDown(colour), cv2.pyrDown(weight)
     full = np.minimum(1.0, 4 * coarse_weight)
     small = small * (full / np.maximum(coarse_weight, 1e-6))[..., None]
-    coarse = cv2.pyrUp(_pulled(small, full), dstsize=weight.shape[::-1])
+    coarse = cv2.pyrUp(_pull_colours(small, full), dstsize=weight.shape[::-1])
     part = np.minimum(weight, 1)[..., None]
     return part * own + (1 - part) * coarse
 
@@ -131,6 +131,6 @@ def background_colour(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return np.ones(3) if near.all() else np.median(image[near == 0], 0)
 
 
-def resized(picture: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def resize_picture(picture: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """A picture of another height and width, each place that of one of its own."""
     return cv2.resize(picture, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)

@@ -95,7 +95,7 @@ def visible_points(
     return is_visible
 
 
-def splatted(
+def splat_points(
     cells_xy: np.ndarray, depths: np.ndarray, colours: np.ndarray, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """A picture of ``nearest_points``, and where it shows them (H, W) bool.
