@@ -44,14 +44,14 @@ from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.hybrid.paper.chamfer import Chamfer
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.images.background_model import Background, exposure, regained, spread
+from jaxmocap.images.background_model import Background, exposure, spread, undo_gains
 from jaxmocap.images.foreground import shrink
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.keypoints.lines import lines_at_events
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scan_events
-from jaxmocap.pipelines.tracking.motions import Tracked, motions, unsmoothed
+from jaxmocap.pipelines.tracking.motions import Tracked, motions, steps_as_trajectory
 from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.smoothing.batch import CameraFrames, smooth_recording
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
@@ -114,7 +114,7 @@ def flat_frame(image: np.ndarray, background: Background) -> np.ndarray:
     small = shrink(image, ROWS)
     gains, agreement = exposure(small, background)
     away = (
-        np.abs(regained(small, gains).astype(np.float32) - background.colour).max(-1)
+        np.abs(undo_gains(small, gains).astype(np.float32) - background.colour).max(-1)
         / background.noise
     )
     differs = np.clip((away - ALIKE) / (DIFFERENT - ALIKE), 0, 1)
@@ -198,7 +198,7 @@ class FirstRun:
 
     def tracked(self, smoothed: Trajectory | None = None) -> Tracked:
         """As motions, by what a second pass estimated, or by the first pass alone."""
-        trajectory = smoothed or unsmoothed(self.first_pass)
+        trajectory = smoothed or steps_as_trajectory(self.first_pass)
         return motions(self.tracker.model, self.events, self.first_pass, trajectory, {}, {})
 
 

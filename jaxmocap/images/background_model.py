@@ -147,7 +147,7 @@ def equally_exposed(frames: np.ndarray, free: np.ndarray) -> np.ndarray:
     usual, _, counts = _rank_frames(few, open_, 0.5)
     shown = open_ & (counts > 0)
     gains = [gain(few[i][shown[i]].T, usual[shown[i]].T) for i in range(len(frames))]
-    return np.stack([regained(frame, g) for frame, g in zip(frames, gains, strict=True)])
+    return np.stack([undo_gains(frame, g) for frame, g in zip(frames, gains, strict=True)])
 
 
 def gain(pixels: np.ndarray, expected: np.ndarray) -> np.ndarray | None:
@@ -173,7 +173,7 @@ def _middle(values: np.ndarray) -> float:
     return np.partition(values, len(values) // 2)[len(values) // 2]
 
 
-def regained(frame: np.ndarray, gains: np.ndarray | None) -> np.ndarray:
+def undo_gains(frame: np.ndarray, gains: np.ndarray | None) -> np.ndarray:
     """The frame (h, w, 3) uint8 as it would be at a gain of one."""
     if gains is None or np.abs(gains - 1).max() < LEAST_GAIN:
         return frame
@@ -231,7 +231,7 @@ class RunningBackground:
             self._strangers = 0 if agreement > 0 else self._strangers + 1
             if agreement == 0:
                 return
-            frame = regained(frame, gains)
+            frame = undo_gains(frame, gains)
         self._learn(frame, np.zeros(frame.shape[:2], bool) if body is None else body)
 
     def background(self) -> Background:

@@ -16,8 +16,8 @@ from jaxmocap.images.background_model import (
     background_of,
     equally_exposed,
     exposure,
-    regained,
     spread,
+    undo_gains,
 )
 from jaxmocap.images.colours import Colours, colour_bins, learn_colours, lit_or_shaded_density
 
@@ -91,7 +91,7 @@ def log_odds(
         (h, w) of the window, float32, slightly blurred; 0 where nothing was learned.
     """
     gains, agreement = exposure(frame, background)
-    frame, background = regained(frame[window], gains), background.part(window)
+    frame, background = undo_gains(frame[window], gains), background.part(window)
     if agreement == 0:
         return np.zeros(frame.shape[:2], np.float32)
     bins, ratio = colour_bins(frame), colours.rest / colours.body

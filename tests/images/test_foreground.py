@@ -17,7 +17,7 @@ from jaxmocap.images.background_model import (
     exposure,
     learn_background,
     nth_smallest,
-    regained,
+    undo_gains,
 )
 from jaxmocap.images.colours import BINS, Colours, RunningColours, colour_bins, learn_colours
 from jaxmocap.images.foreground import (
@@ -157,7 +157,7 @@ def test_gain_is_read_past_somebody_in_the_way():
     background = learn_background(frames, reach)
     brighter = np.clip(frames[5] * np.array([1.2, 1.1, 0.9]), 0, 255).astype(np.uint8)
     gains, agreement = exposure(brighter, background)
-    restored = regained(brighter, gains)
+    restored = undo_gains(brighter, gains)
     free = np.logical_not(reach[5])
     assert agreement == 1
     assert np.abs(restored[free] - background.colour[free]).mean() < 2

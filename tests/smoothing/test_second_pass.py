@@ -38,7 +38,7 @@ from jaxmocap.geometry.cameras import project
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.silhouette_grid import Grid
-from jaxmocap.pipelines.tracking.motions import unsmoothed
+from jaxmocap.pipelines.tracking.motions import steps_as_trajectory
 from jaxmocap.pipelines.tracking.track import track_both
 from jaxmocap.smoothing import batch
 from jaxmocap.smoothing.batch import CameraFrames, smooth_recording
@@ -343,7 +343,7 @@ def test_steps_have_deviations_of_the_elbows_only():
     still = Pose(*(part[0] for part in true_poses()))
     reports = StepReport(still, np.zeros((2, 3)), nothing, nothing, spread, *[nothing] * 4)
     first = first_pass(build_timeline(TIMES[:2], []), markers_world()[:2], still, still)
-    actual = unsmoothed(first._replace(reports=reports))
+    actual = steps_as_trajectory(first._replace(reports=reports))
     assert actual.deviations is not None and actual.from_prior is not None
     np.testing.assert_allclose(np.linalg.norm(actual.deviations[:, ELBOWS], axis=-1), spread)
     others = np.delete(actual.deviations, ELBOWS, axis=1)

@@ -37,7 +37,7 @@ class Tracked(NamedTuple):
     markers_only: Motion
 
 
-def unsmoothed(first_pass: FirstPass) -> Trajectory:
+def steps_as_trajectory(first_pass: FirstPass) -> Trajectory:
     """The steps as they are, which have deviations of the elbows only."""
     of_elbows = np.asarray(first_pass.reports.elbow_deviations)
     deviations = np.full((len(of_elbows), len(LANDMARKS), 3), np.nan)
@@ -46,7 +46,7 @@ def unsmoothed(first_pass: FirstPass) -> Trajectory:
     return Trajectory(first_pass.poses, np.zeros(0), deviations=deviations, from_prior=unknown)
 
 
-def low_passed(times: np.ndarray, poses: Pose, skeleton: Skeleton, cutoff: float) -> Pose:
+def low_pass(times: np.ndarray, poses: Pose, skeleton: Skeleton, cutoff: float) -> Pose:
     """Poses (T, ...) without what changes faster than a cut-off, Hz.
 
     What the first paper's section 7 proposes against oscillations, by each degree of freedom, the

@@ -33,9 +33,9 @@ from jaxmocap.pipelines.tracking.marked import MarkedPass, follow_markers, is_ma
 from jaxmocap.pipelines.tracking.motions import (
     Tracked,
     join_outputs,
-    low_passed,
+    low_pass,
     motions,
-    unsmoothed,
+    steps_as_trajectory,
 )
 from jaxmocap.smoothing.batch import smooth_recording
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother
@@ -179,7 +179,7 @@ def track_both(
     if by_markers:
         figures["fitted"] = by_markers.sentence
         trajectory = trajectory or by_markers.trajectory
-    ended = trajectory or unsmoothed(first)
+    ended = trajectory or steps_as_trajectory(first)
     if cutoff:
         ended = ended._replace(poses=_low_passed(events, ended.poses, tracker, cutoff))
     return motions(tracker.model, events, first, ended, clock.milliseconds, plain(figures))
@@ -215,7 +215,7 @@ def _low_passed(
     rows = np.flatnonzero(events.timeline.sample_index >= 0)
     times = events.recording.times[events.before :]
     at_samples = jax.tree.map(lambda part: np.asarray(part)[rows], poses)
-    filtered = low_passed(times, at_samples, tracker.model.skeleton, cutoff)
+    filtered = low_pass(times, at_samples, tracker.model.skeleton, cutoff)
     poses = jax.tree.map(np.array, poses)
     for part, new in zip(poses, filtered, strict=True):
         part[rows] = new
