@@ -55,7 +55,7 @@ from jaxmocap.hybrid.paper.chamfer import Chamfer
 from jaxmocap.hybrid.settings import IKSettings, Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.kept_programs import keep_compiled
-from jaxmocap.pipelines.tracking.motions import low_pass
+from jaxmocap.pipelines.tracking.motions import low_pass_poses
 from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.silhouette import ContourPoseSettings, solve_contour_pose
 from jaxmocap.silhouette.points import PointRays, contour_rays
@@ -189,7 +189,7 @@ def stated_times(rounds: int) -> Iterator[Metric]:
 def filtered(motion: Motion, clip: Clip, cutoff: float) -> tuple[float, float, float]:
     """The ``FIGURES`` of both elbows below a cut-off, Hz; 0 is none."""
     if cutoff:
-        poses = low_pass(motion.times, motion.poses, motion.skeleton, cutoff)
+        poses = low_pass_poses(motion.times, motion.poses, motion.skeleton, cutoff)
         motion = replace(motion, poses=poses)
     errors = evaluate(motion, clip.truth, clip.pairs)
     fast = float(np.sqrt(np.nanmean(errors.high_passed**2)))

@@ -40,7 +40,7 @@ from jaxmocap.outputs.report import MISFIT_M
 from jaxmocap.pipelines import writing
 from jaxmocap.pipelines.summary import figures, frames_per_second, misfit, summary
 from jaxmocap.pipelines.tracking.events import elbow_warnings, without_video
-from jaxmocap.pipelines.tracking.motions import low_pass
+from jaxmocap.pipelines.tracking.motions import low_pass_poses
 from jaxmocap.pipelines.tracking.track import track, track_both
 from jaxmocap.pipelines.viewer_frames import arm_edges, viewer_frames
 from jaxmocap.pipelines.writing import MOTION, write_outputs
@@ -380,7 +380,7 @@ def test_a_low_pass_over_poses_found_frame_by_frame_keeps_what_is_slow():
     high = np.asarray(skeleton.limits)[:, 1]
     angles = np.broadcast_to(high, (300, len(high))) + fast[:, None]
     place = np.stack([slow + fast, 0 * times, 0 * times], 1)
-    poses = low_pass(times, Pose(place, turn, angles), skeleton, 2.0)  # type: ignore[arg-type]
+    poses = low_pass_poses(times, Pose(place, turn, angles), skeleton, 2.0)  # type: ignore[arg-type]
     inner = slice(60, -60)
     np.testing.assert_allclose(np.asarray(poses.position)[inner, 0], slow[inner], atol=0.01)
     half = np.arctan2(*np.asarray(poses.quaternion).T[[3, 0]])
@@ -405,7 +405,7 @@ def test_a_low_pass_acts_on_the_samples_of_an_unsmoothed_run():
         for cutoff in (0.0, 2.0)
     )
     assert np.isnan(plain.report.from_prior).all()
-    expected = low_pass(plain.times, plain.poses, plain.skeleton, 2.0)
+    expected = low_pass_poses(plain.times, plain.poses, plain.skeleton, 2.0)
     for ours, theirs in zip(low.poses, expected, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-6)
     assert np.abs(np.asarray(low.poses.angles) - np.asarray(plain.poses.angles)).max() > 1e-3

@@ -250,7 +250,7 @@ class Live:
         self.status.update_line(
             now,
             {name: None if at is None else now - at for name, at in received_at.items()},
-            self._count_dropped(),
+            self._drops(),
             self._deviations,
             self.tracking.is_ready,
         )
@@ -263,7 +263,7 @@ class Live:
             return COMPILING_FIRST
         return COMPILING_VIDEO if self._setup.videos else COMPILING_REST
 
-    def _count_dropped(self) -> dict[str, int]:
+    def _drops(self) -> dict[str, int]:
         return {
             "samples": self._inbox.dropped_samples,
             "frames": self._inbox.dropped_frames,
@@ -279,8 +279,7 @@ class Live:
             "senders": self._source.senders.packets(),
             "ignored": {why: count for why, count in self._source.ignored.items() if count},
             "clock_jumps": self._source.senders.clock_jumps,
-            "dropped": self._count_dropped()
-            | {"not recorded": recording.dropped if recording else 0},
+            "dropped": self._drops() | {"not recorded": recording.dropped if recording else 0},
             "frames": {camera.name: camera.frames for camera in self._cameras},
             "placed_again": self.tracking.placements,
             "not_sent": sum(to.failed for _, to in self._senders),

@@ -46,7 +46,7 @@ def steps_as_trajectory(first_pass: FirstPass) -> Trajectory:
     return Trajectory(first_pass.poses, np.zeros(0), deviations=deviations, from_prior=unknown)
 
 
-def low_pass(times: np.ndarray, poses: Pose, skeleton: Skeleton, cutoff: float) -> Pose:
+def low_pass_poses(times: np.ndarray, poses: Pose, skeleton: Skeleton, cutoff: float) -> Pose:
     """Poses (T, ...) without what changes faster than a cut-off, Hz.
 
     What the first paper's section 7 proposes against oscillations, by each degree of freedom, the

@@ -33,7 +33,7 @@ from jaxmocap.pipelines.tracking.marked import MarkedPass, follow_markers, is_ma
 from jaxmocap.pipelines.tracking.motions import (
     Tracked,
     join_outputs,
-    low_pass,
+    low_pass_poses,
     motions,
     steps_as_trajectory,
 )
@@ -181,7 +181,7 @@ def track_both(
         trajectory = trajectory or by_markers.trajectory
     ended = trajectory or steps_as_trajectory(first)
     if cutoff:
-        ended = ended._replace(poses=_low_passed(events, ended.poses, tracker, cutoff))
+        ended = ended._replace(poses=_low_pass(events, ended.poses, tracker, cutoff))
     return motions(tracker.model, events, first, ended, clock.milliseconds, plain(figures))
 
 
@@ -208,14 +208,12 @@ def _smooth_recording(
     return smooth_recording(model, settings, first, cached_frames(opened.videos, ROWS), show, why)
 
 
-def _low_passed(
-    events: RecordingEvents, poses: Pose, tracker: HybridTracker, cutoff: float
-) -> Pose:
+def _low_pass(events: RecordingEvents, poses: Pose, tracker: HybridTracker, cutoff: float) -> Pose:
     """Poses of the events, of which those at the samples are filtered."""
     rows = np.flatnonzero(events.timeline.sample_index >= 0)
     times = events.recording.times[events.before :]
     at_samples = jax.tree.map(lambda part: np.asarray(part)[rows], poses)
-    filtered = low_pass(times, at_samples, tracker.model.skeleton, cutoff)
+    filtered = low_pass_poses(times, at_samples, tracker.model.skeleton, cutoff)
     poses = jax.tree.map(np.array, poses)
     for part, new in zip(poses, filtered, strict=True):
         part[rows] = new
