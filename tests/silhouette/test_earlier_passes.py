@@ -82,7 +82,7 @@ def track_by(step, shape=None):
         init=lambda pose, body=None, backgrounds=(): SimpleNamespace(
             body=body, backgrounds=tuple(backgrounds), _replace=lambda **_: None
         ),
-        body_pixels=lambda state: np.zeros((1, 1, 2)), reshaped=lambda body, *_: body,
+        body_pixels=lambda state: np.zeros((1, 1, 2)), reshape_person=lambda body, *_: body,
     )  # fmt: skip
 
 

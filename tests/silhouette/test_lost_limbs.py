@@ -176,7 +176,7 @@ def test_a_limb_whose_contradiction_ends_is_searched_for_once_more_and_at_once(
 def proposed(recovery, monkeypatch, explained: float, missing: float, before=None):
     """What becomes of limbs that all explain so much, while so much is unexplained."""
     finder = SimpleNamespace(
-        unexplained=lambda projected: np.full(4, missing),
+        unexplained_areas=lambda projected: np.full(4, missing),
         nearest_depths=lambda projected: None,
         of_limb=lambda *_: None,
     )
