@@ -193,8 +193,6 @@ def _write_markers(conversion: _Conversion, markers: Markers) -> None:
         raise (
             error if isinstance(error, FileError) else InputError(conversion.target, str(error))
         ) from None
-    if markers.residuals is not None and np.nan_to_num(markers.residuals).any():
-        conversion.warnings.append(f"left out: the markers' residuals, which {kind} does not hold")
 
 
 def _read_motion(conversion: _Conversion) -> Motion | Armature:

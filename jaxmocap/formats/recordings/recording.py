@@ -236,7 +236,6 @@ def _read_placed_markers(
         times=markers.times.copy(),
         names=tuple(entries),
         positions=to_world(R_world_file, markers.positions[:, columns]),
-        residuals=None,
         orientations=orientations,
     )
     return markers, placed, filters

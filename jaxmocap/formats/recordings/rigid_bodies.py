@@ -65,7 +65,6 @@ def with_rigid_sets(fields: TomlTable, markers: Markers, names: Collection[str])
         markers,
         names=(*(markers.names[i] for i in kept), *sets),
         positions=np.concatenate([markers.positions[:, kept], np.stack(centres, 1)], 1),
-        residuals=None,
         orientations=orientations,
     )
 

@@ -4,24 +4,23 @@ INPUTS: a .c3d file, its unit in POINT:UNITS; or Markers.
 OUTPUTS: Markers in metres, in the file's own axes; or a .c3d file in millimetres.
 
 A point is missing where its residual is negative or a coordinate is not a number. Times count from
-the capture's first frame: a trial cut out of it begins where its header says. Labels lose a prefix
-that all share (``Derrick:LFHD``). Analog channels, events and what else a C3D file may hold are not
-read.
+the capture's first frame: a trial cut out of it begins where its header says, or TRIAL where that
+is beyond what 16 bits count. Labels lose a prefix that all share (``Derrick:LFHD``). Analog
+channels, events, residuals, and angles, forces, moments, powers and scalars in the place of points
+are not read.
 """
 
 import json
-import math
 import os
 import struct
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.formats.files.errors import InputError, short_name, short_repr
+from jaxmocap.formats.files.errors import InputError, comma_list, short_name, short_repr
 from jaxmocap.formats.files.reading import open_regular, regular_file
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series import c3d_process
@@ -36,8 +35,6 @@ from jaxmocap.formats.time_series.tables import (
 _UNITS = METRES_PER_UNIT | {"dm": 0.1, "in": 0.0254, "inch": 0.0254, "inches": 0.0254}
 # Frames are counted by 16 bits.
 MAX_FRAMES = 65535
-# Residuals are stored as whole steps of a scale, 255 at most.
-RESIDUAL_STEPS = 255
 _BIG_ENDIAN = 86
 # What the process that reads may take: seconds,
 MAX_READ_S = 60
@@ -45,13 +42,15 @@ MAX_READ_S = 60
 # 840 MB.
 MAX_MEMORY_BYTES = 2**31
 _METRES_PER_MM = 1e-3
-# The smallest distance and step of residuals that is written.
+# The smallest distance that is written.
 _SMALLEST_MM = 1e-6
 _DAMAGED = "not a C3D file, or damaged or cut off within its parameters"
 # A file consists of blocks of this size.
 _BLOCK_BYTES = 512
 # A point is four 32-bit numbers.
 _POINT_BYTES = 16
+# Of what is left out, so many names are listed.
+MOST_NAMED = 5
 # Frames per second.
 _MAX_RATE_HZ = 1e6
 # Where the parameters are at the latest, bytes.
@@ -59,27 +58,32 @@ _HEADER_BYTES = 2**17
 
 
 class _Content(NamedTuple):
-    """What ezc3d found: points (3, M, T) and residuals (M, T) in the file's unit, and counts."""
+    """What ezc3d found: points (3, M, T) in the file's unit, NaN where missing, and counts."""
 
     points: np.ndarray
-    residuals: np.ndarray
     rate: float
     first: int
+    frames: int
     unit: str
     labels: list[str]
+    others: list[str]
     analog_channels: int
     events: int
+    has_residuals: bool
 
 
 def read_c3d(path: str | Path) -> Markers:
-    """Read the points of a C3D file, with their residuals; InputError for a damaged file."""
+    """Read the points of a C3D file; InputError for a damaged file."""
     declared = _declared_frames(path)
     file = _read(path)
-    if not file.residuals.size:
+    if not file.points.size:
         raise InputError(path, "found no points")
-    count = file.residuals.shape[1]
+    count = file.points.shape[2]
     if count < declared:
         raise InputError(path, f"the header states {declared} frames, the file ends after {count}")
+    if count < file.frames:
+        problem = f"TRIAL states {file.frames} frames, {count} of them can be read"
+        raise InputError(path, f"{problem}: export it in parts of at most {MAX_FRAMES}")
     if file.unit.lower() not in _UNITS:
         expected = f"expected one of {', '.join(_UNITS)}"
         raise InputError(path, f"POINT:UNITS: found {short_repr(file.unit)}, {expected}")
@@ -88,13 +92,11 @@ def read_c3d(path: str | Path) -> Markers:
         problem = f"found {file.rate:g}, expected frames per second, up to {_MAX_RATE_HZ:g}"
         raise InputError(path, f"POINT:RATE: {problem}")
     with np.errstate(over="ignore", invalid="ignore"):
-        positions, residuals = file.points.transpose(2, 1, 0) * scale, file.residuals.T * scale
-    positions[(residuals < 0) | ~np.isfinite(positions).all(-1)] = np.nan
+        positions = file.points.transpose(2, 1, 0) * scale
+    positions[~np.isfinite(positions).all(-1)] = np.nan
     times = (file.first + np.arange(count)) / file.rate
     table = np.concatenate([times[:, None], positions.reshape(count, -1)], 1)
-    markers = make_markers(path, table, [], _labels(file.labels), "POINT:LABELS")
-    residuals[np.isnan(markers.positions).any(-1)] = np.nan
-    return replace(markers, residuals=residuals)
+    return make_markers(path, table, [], _labels(file.labels), "POINT:LABELS")
 
 
 def _read(path: str | Path) -> _Content:
@@ -115,10 +117,7 @@ def _read(path: str | Path) -> _Content:
         raise InputError(path, _DAMAGED)
     line, _, values = done.stdout.partition(b"\n")
     head = json.loads(line)
-    shape = head.pop("shape")
-    numbers = np.frombuffer(values, float)
-    count = 3 * math.prod(shape)
-    return _Content(numbers[:count].reshape(3, *shape), numbers[count:].reshape(shape), **head)
+    return _Content(np.frombuffer(values, float).reshape(3, *head.pop("shape")), **head)
 
 
 def unconverted_content(path: str | Path) -> list[str]:
@@ -128,6 +127,11 @@ def unconverted_content(path: str | Path) -> list[str]:
         left.append(f"{file.analog_channels} analog channels")
     if file.events:
         left.append("events")
+    if file.has_residuals:
+        left.append("the points' residuals")
+    if file.others:
+        names = comma_list(map(short_name, file.others[:MOST_NAMED]))
+        left.append(f"{len(file.others)} angles, forces and the like, which are no points: {names}")
     if file.labels != _labels(file.labels):
         prefix = short_name(file.labels[0].rpartition(":")[0])
         left.append(f"the labels' prefix {prefix}:")
@@ -182,13 +186,12 @@ def write_c3d(path: str | Path, markers: Markers) -> None:
     places = table[:].reshape(len(times), -1, 3)
     positions = np.moveaxis(places, 2, 0).swapaxes(1, 2) / _METRES_PER_MM
     missing = np.asarray(np.isnan(positions).any(0))
-    residuals, step = _residuals(markers, missing)
     file = ezc3d.c3d()
     group = file["parameters"]["POINT"]
     group["RATE"]["value"], group["UNITS"]["value"] = [rate], ["mm"]
-    group["LABELS"]["value"], group["SCALE"]["value"] = list(markers.names), [-step]
+    group["LABELS"]["value"], group["SCALE"]["value"] = list(markers.names), [-1.0]
     file["data"]["points"] = np.concatenate([positions, np.ones((1, *missing.shape))])
-    file["data"]["meta_points"]["residuals"] = residuals[None]
+    file["data"]["meta_points"]["residuals"] = np.where(missing, -1.0, 0.0)[None]
     file["header"]["points"]["first_frame"] = first
     frames, points = len(times), len(markers.names)
     with replacing(path, lambda part: _is_complete(part, frames, points)) as temporary:
@@ -208,14 +211,3 @@ def _is_complete(path: Path, frames: int, points: int) -> bool:
     counts = stored, last - first + 1, start
     expected = points, frames, content[0] + blocks
     return counts == expected and path.stat().st_size >= size
-
-
-def _residuals(markers: Markers, missing: np.ndarray) -> tuple[np.ndarray, float]:
-    """Residuals (M, T) in millimetres, −1 where missing, and the step in which they are stored."""
-    if markers.residuals is None:
-        return np.where(missing, -1.0, 0.0), 1.0
-    residuals = np.nan_to_num(markers.residuals.T / _METRES_PER_MM)
-    largest = float(np.where(missing, 0.0, residuals).max(initial=0.0))
-    step = max(largest / RESIDUAL_STEPS, _SMALLEST_MM)
-    # ezc3d cuts off what is less than a step: half a step more rounds.
-    return np.where(missing, -1.0, residuals + step / 2), step

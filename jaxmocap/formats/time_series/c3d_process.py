@@ -1,8 +1,8 @@
 """The process in which ezc3d reads a C3D file: it may hang, take all memory, or die of the file.
 
 INPUTS: a file's path, bytes of memory that may be used; this is run as a script, by ``c3d`` alone.
-OUTPUTS: on standard output a line of JSON, then the points (3, M, T) and their residuals (M, T) as
-float64. Exit code 3 where there is not memory enough, 1 where the file cannot be read.
+OUTPUTS: on standard output a line of JSON, then the points (3, M, T) as float64, NaN where missing.
+Exit code 3 where there is not memory enough, 1 where the file cannot be read.
 """
 
 import json
@@ -10,6 +10,9 @@ import sys
 from typing import Any
 
 EXIT_TOO_LARGE = 3
+WORD = 0xFFFF
+# What stands among the points and is none, by the groups that name it.
+OTHERS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 
 
 def limit_memory(max_bytes: int) -> None:
@@ -29,6 +32,15 @@ def stored_labels(group: Any, count: int) -> list[str]:
     return names + [f"point{i}" for i in range(len(names) + 1, count + 1)]
 
 
+def frame_number(parameters: Any, name: str, in_header: int) -> int:
+    """A frame's number from 1; TRIAL has the one that the header's 16 bits cannot count."""
+    trial = parameters.get("TRIAL", {})
+    words = [int(word) & WORD for word in trial[name]["value"]] if name in trial else []
+    low, high = (*words, 0, 0)[:2]
+    is_same = low == in_header or in_header >= WORD
+    return low + (high << 16) if high and is_same else in_header
+
+
 def read_to_stdout(path: str, most: int) -> int:
     """Read a file and hand it on; the exit code."""
     limit_memory(most)
@@ -37,23 +49,35 @@ def read_to_stdout(path: str, most: int) -> int:
         import numpy as np
 
         file = ezc3d.c3d(path)
-        points, parameters = file["data"]["points"], file["parameters"]
+        points, parameters = file["data"]["points"][:3], file["parameters"]
+        residuals = file["data"]["meta_points"]["residuals"][0]
+        points[:, residuals < 0] = np.nan
         group = parameters["POINT"]
+        labels = stored_labels(group, points.shape[1])
+        names = {str(n).strip() for kind in OTHERS if kind in group for n in group[kind]["value"]}
+        is_point = np.array([label not in names for label in labels], bool)
+        points = points[:, is_point]
+        header = file["header"]["points"]
+        first, last = (int(header[key]) + 1 for key in ("first_frame", "last_frame"))
+        first = frame_number(parameters, "ACTUAL_START_FIELD", first)
+        last = frame_number(parameters, "ACTUAL_END_FIELD", last)
         units = group["UNITS"]["value"] if "UNITS" in group else []
         times = parameters["EVENT"].get("TIMES", {}) if "EVENT" in parameters else {}
         head = {
             "shape": points.shape[1:],
-            "rate": float(file["header"]["points"]["frame_rate"]),
-            "first": int(file["header"]["points"]["first_frame"]),
+            "rate": float(header["frame_rate"]),
+            "first": first - 1,
+            "frames": last - first + 1,
             "unit": str(units[0]).strip() if len(units) else "",
-            "labels": stored_labels(group, points.shape[1]),
+            "labels": [label for label, own in zip(labels, is_point, strict=True) if own],
+            "others": [label for label, own in zip(labels, is_point, strict=True) if not own],
+            "has_residuals": bool((residuals > 0).any()),
             "analog_channels": file["data"]["analogs"].shape[1],
             "events": len(times.get("value", ())),
         }
         output = sys.stdout.buffer
         output.write(json.dumps(head).encode() + b"\n")
-        for array in (points[:3], file["data"]["meta_points"]["residuals"][0]):
-            output.write(np.ascontiguousarray(array, np.float64).data)
+        output.write(np.ascontiguousarray(points, np.float64).data)
         output.flush()
     except MemoryError:
         return EXIT_TOO_LARGE

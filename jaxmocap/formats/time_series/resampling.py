@@ -91,7 +91,7 @@ def interpolation_at(times: np.ndarray, new_times: np.ndarray) -> Interpolation:
 
 
 def resample_markers(markers: Markers, times: np.ndarray) -> Markers:
-    """Markers at (N,) other times; their residuals are dropped."""
+    """Markers at (N,) other times."""
     at = interpolation_at(markers.times, times)
     orientations = None if markers.orientations is None else slerp(markers.orientations, at)
     return Markers(times, markers.names, lerp(markers.positions, at), orientations=orientations)

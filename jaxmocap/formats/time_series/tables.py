@@ -46,9 +46,6 @@ class Markers:
     names: tuple[str, ...]  # of the M markers
     # (T, M, 3) metres, float64, in the file's own axes; all three NaN where missing.
     positions: np.ndarray
-    # (T, M) metres, how far apart the rays of each point were, NaN where it is missing; or None
-    # where the file says nothing of them (only C3D does).
-    residuals: np.ndarray | None = None
     # Samples per second as the file's header states them, whatever its time stamps say; or None
     # where it has no such field (only TRC has both).
     rate: float | None = None
