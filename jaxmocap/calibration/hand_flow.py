@@ -16,8 +16,9 @@ from scipy.interpolate import CubicSpline
 
 from jaxmocap.capture.checks.cameras import project_to_pixels
 from jaxmocap.capture.filters import butterworth_low_pass
-from jaxmocap.capture.markers import GAP_INTERVALS, median_interval
+from jaxmocap.capture.markers import GAP_INTERVALS
 from jaxmocap.capture.video import FrameSource
+from jaxmocap.formats.time_series.tables import usual_step
 from jaxmocap.geometry.cameras import Camera, depth, on_host, pixels_per_metre
 
 # Flow is computed on images of at most so many pixels a side,
@@ -59,7 +60,7 @@ class MarkerPath:
         present = np.flatnonzero(np.isfinite(positions).all(-1))
         if len(present) < 4:
             return None
-        interval = median_interval(times)
+        interval = usual_step(times)
         cutoff = min(SMOOTHING_CUTOFF_HZ, SMOOTHING_CUTOFF_SHARE / interval)
         smoothed = butterworth_low_pass(times, positions[:, None], cutoff)[present, 0]
         return cls(CubicSpline(times[present], smoothed), times[present], GAP_INTERVALS * interval)

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.capture.markers import GAP_INTERVALS, median_interval
+from jaxmocap.capture.markers import GAP_INTERVALS
 from jaxmocap.capture.one_euro import filter_step, initial_state
 from jaxmocap.formats.recordings.filters import Filters, OneEuroSettings
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.formats.time_series.tables import is_even
+from jaxmocap.formats.time_series.tables import is_even, usual_step
 
 # Hampel's identifier looks so far to each side, seconds and samples at least.
 HAMPEL_HALF_WINDOW_S = 0.05
@@ -117,7 +117,7 @@ def _is_missing(positions: np.ndarray) -> np.ndarray:
 
 def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """(T, M) outliers of (T, M, N) by Hampel's identifier: markers with one such coordinate."""
-    interval = median_interval(times)
+    interval = usual_step(times)
     half = round(HAMPEL_HALF_WINDOW_S / interval) if interval else 0
     half = min(max(half, HAMPEL_MIN_HALF_WINDOW), HAMPEL_MAX_HALF_WINDOW)
     outliers = np.zeros(positions.shape[:2], bool)
@@ -148,7 +148,7 @@ def fill_gaps(times: np.ndarray, positions: np.ndarray, longest: float) -> np.nd
         longest: seconds that a marker may be missing: from the first sample without it to the
             first with it again.
     """
-    filled, allowed = positions.copy(), longest + median_interval(times)
+    filled, allowed = positions.copy(), longest + usual_step(times)
     for marker in range(positions.shape[1]):
         present = np.flatnonzero(~_is_missing(positions[:, marker]))
         for before, after in pairwise(present.tolist()):
@@ -183,7 +183,7 @@ def _hermite(
 def _slope(times: np.ndarray, path: np.ndarray, rows: np.ndarray, at: int) -> np.ndarray:
     """(3,) metres per second at a sample, of the parabola through those near it; NaN without."""
     since = times[rows] - times[at]
-    near = np.abs(since) <= SLOPE_SAMPLES * median_interval(times)
+    near = np.abs(since) <= SLOPE_SAMPLES * usual_step(times)
     if near.sum() < 3:
         return np.full(3, np.nan)
     return np.polynomial.polynomial.polyfit(since[near], path[rows[near]], 2)[1]
@@ -197,7 +197,7 @@ def butterworth_low_pass(times: np.ndarray, positions: np.ndarray, cutoff: float
     # Half a second of imports, and few recordings ask for it.
     from scipy.signal import butter, sosfiltfilt
 
-    interval = median_interval(times)
+    interval = usual_step(times)
     sections = butter(
         BUTTERWORTH_ORDER, cutoff / TWO_PASS_CUTOFF_RATIO, fs=1 / interval, output="sos"
     )
@@ -213,13 +213,13 @@ def butterworth_low_pass(times: np.ndarray, positions: np.ndarray, cutoff: float
 def _runs(times: np.ndarray, is_present: np.ndarray) -> list[np.ndarray]:
     """Rows that are present and follow one another without a gap, run by run."""
     rows = np.flatnonzero(is_present)
-    breaks = (np.diff(rows) > 1) | (np.diff(times[rows]) > GAP_INTERVALS * median_interval(times))
+    breaks = (np.diff(rows) > 1) | (np.diff(times[rows]) > GAP_INTERVALS * usual_step(times))
     return [run for run in np.split(rows, np.flatnonzero(breaks) + 1) if len(run) > 1]
 
 
 def check_cutoff(recording: Recording, cutoff: float, name: str) -> None:
     """InputError unless the samples can hold the cut-off of a low-pass, by its setting's name."""
-    interval = median_interval(recording.times)
+    interval = usual_step(recording.times)
     highest = TWO_PASS_CUTOFF_RATIO / (2 * interval) if interval else 0.0
     if cutoff >= highest:
         raise recording.error(

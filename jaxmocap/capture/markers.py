@@ -8,15 +8,12 @@ from collections import deque
 
 import numpy as np
 
+from jaxmocap.formats.time_series.tables import usual_step
+
 # Neighbouring samples further apart than this many median intervals are a gap, not a motion.
 GAP_INTERVALS = 3.0
 # So is a step that would be faster than this, metres per second: no hand is.
 MAX_SPEED_M_S = 50.0
-
-
-def median_interval(times: np.ndarray) -> float:
-    """The median step of ascending times (T,), seconds; 0 where there are fewer than two."""
-    return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
 
 
 def interpolate_markers(
@@ -37,7 +34,7 @@ def interpolate_markers(
     exact = (newest >= 0) & (times[newest] == at)
     if len(times) < 2:
         return np.where(exact[:, None, None], positions[newest], np.nan)
-    interval = median_interval(times)
+    interval = usual_step(times)
     first = np.clip(newest - 1 if causal else newest, 0, len(times) - 2)
     start, end = times[first], times[first + 1]
     if causal:
@@ -82,7 +79,7 @@ class RecentMarkers:
             if times:
                 samples = np.array(times), np.array(points)[:, None]
                 ahead = time - times[-1]
-                if 0 < ahead <= LATE_INTERVALS * (interval := median_interval(samples[0])):
+                if 0 < ahead <= LATE_INTERVALS * (interval := usual_step(samples[0])):
                     time_there = times[-1] + min(ahead, (1 - 1e-6) * interval)
                 else:
                     time_there = time

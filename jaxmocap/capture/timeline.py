@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.time_series.tables import usual_step
 
 Mode = Literal["own", "nearest", "causal"]
 # Time stamps in files are rounded to a millisecond at worst: within it, things are simultaneous.
@@ -56,7 +56,7 @@ def _nearest_frames(marker_times: np.ndarray, frame_times: np.ndarray) -> np.nda
     if not len(frame_times):
         return np.full(len(marker_times), -1)
     nearest, gap = _nearest(frame_times, marker_times)
-    return np.where(gap <= max(median_interval(frame_times), SIMULTANEOUS_S), nearest, -1)
+    return np.where(gap <= max(usual_step(frame_times), SIMULTANEOUS_S), nearest, -1)
 
 
 def _nearest(times: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -81,7 +81,7 @@ def bundle_frames(video_times: Sequence[np.ndarray], when=np.median) -> tuple:
         (N,) times of the bundles and (N, C) frame indices, -1 where a camera has none.
     """
     cameras = len(video_times)
-    intervals = [median_interval(times) for times in video_times if len(times) > 1]
+    intervals = [usual_step(times) for times in video_times if len(times) > 1]
     reach = max(min(intervals, default=0.0) / 2, SIMULTANEOUS_S)
     every = sorted((t, c, i) for c, times in enumerate(video_times) for i, t in enumerate(times))
     times: list[list[float]] = []

@@ -20,11 +20,10 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from jaxmocap.capture.decoding import FORMATS, decoder_options, image_of, refused_codec
-from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import regular_file
 from jaxmocap.formats.recordings.recording import VideoSource
-from jaxmocap.formats.time_series.tables import check_times
+from jaxmocap.formats.time_series.tables import check_times, usual_step
 from jaxmocap.geometry.cameras import Camera
 
 TimedImage = tuple[float, np.ndarray | None]
@@ -67,7 +66,7 @@ class FrameSource(ABC):
     @property
     def fps(self) -> float:
         """Frames per second, by the median interval; 0 for a single frame."""
-        interval = median_interval(self.times)
+        interval = usual_step(self.times)
         return 1 / interval if interval else 0.0
 
 
@@ -101,7 +100,7 @@ class Video(FrameSource):
 
     def _open(self) -> InputContainer:
         try:
-            url = f"file:{os.path.abspath(self.path)}"
+            url = f"file:{os.path.realpath(self.path)}"
             container = av.open(url, metadata_errors="replace", options=_OPTIONS)
         except (FFmpegError, OSError, ValueError):
             raise InputError(self.path, NO_VIDEO) from None

@@ -72,26 +72,9 @@ def recording_of(options: argparse.Namespace) -> Recording:
     """
     from jaxmocap.formats.recordings.recording import load_recording
 
-    recording = load_recording(options.recording)
-    if options.cameras:
-        recording = select_cameras(recording, options.cameras)
-    if height := getattr(options, "height", None):
-        recording = with_height(recording, height)
-    return recording
-
-
-def with_height(recording: Recording, height: float) -> Recording:
-    """The recording of a person of another height (metres), by published proportions.
-
-    Raises:
-        InputError: nobody's height.
-    """
-    from jaxmocap.body.skeleton import Skeleton
-
-    try:
-        return replace(recording, skeleton=Skeleton.human(height))
-    except ValueError as error:
-        raise recording.error(str(error)) from None
+    height = getattr(options, "height", None)
+    recording = load_recording(options.recording, {"height": height} if height else None)
+    return select_cameras(recording, options.cameras) if options.cameras else recording
 
 
 def select_cameras(recording: Recording, camera_names: Sequence[str]) -> Recording:

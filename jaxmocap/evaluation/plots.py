@@ -161,7 +161,7 @@ def plot_stick_figures(path: str | Path, people: Mapping[str, Motion]) -> None:
     """Draw people at the same instants from the side, and how high their feet are (.png, .svg)."""
     figure, axes = new_panels(len(people), 2, (6.4, 2.2), sharex="col", sharey="col")
     joints = {name: motion.joints() for name, motion in people.items()}
-    highest = max(float(each["vertex"][:, 2].max()) for each in joints.values())
+    highest = max(float(np.nanmax(each["vertex"][:, 2])) for each in joints.values())
     for (name, motion), (stand, heights) in zip(people.items(), axes, strict=True):
         _draw_figures(stand, joints[name], highest)
         stand.set_ylabel(f"{name} [m]")
@@ -177,8 +177,9 @@ def plot_stick_figures(path: str | Path, people: Mapping[str, Motion]) -> None:
 
 def _draw_figures(panel, joints: dict[str, np.ndarray], highest: float) -> None:
     """Figures at instants evenly over time, each beside the last, from the side."""
-    count = len(joints["pelvis"])
-    for k, row in enumerate(np.linspace(0, count - 1, min(INSTANTS, count)).round().astype(int)):
+    posed = np.flatnonzero(np.isfinite(joints["pelvis"]).all(1))
+    evenly = np.linspace(0, len(posed) - 1, min(INSTANTS, len(posed))).round().astype(int)
+    for k, row in enumerate(posed[evenly]):
         ahead = np.cross(joints["hip_l"][row] - joints["hip_r"][row], [0.0, 0.0, 1.0])
         ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-6)
         at = {mark: points[row] - joints["pelvis"][row] for mark, points in joints.items()}

@@ -5,13 +5,15 @@ INPUTS: rising time stamps, seconds, and values at them. OUTPUTS: indices; filte
 
 import numpy as np
 
+from jaxmocap.formats.time_series.tables import MILLISECOND_S, usual_step
+
 # The paper's Fig. 8 shows what of the error changes faster than this.
 HIGH_PASS_HZ = 0.3
 
 
 def sample_step(times: np.ndarray) -> float:
-    """Median time between samples, seconds; infinite for a single one."""
-    return float(np.median(np.diff(times))) if len(times) > 1 else float("inf")
+    """Time between samples, seconds; infinite for a single one."""
+    return usual_step(times) or float("inf")
 
 
 def match(
@@ -22,7 +24,8 @@ def match(
     Args:
         times_a: (A,) seconds.
         times_b: (B,) seconds.
-        tolerance: largest difference, seconds; None is half a sample of the finer series.
+        tolerance: largest difference, seconds; None is half a sample of the finer series, a
+            millisecond of two single samples.
 
     Returns:
         Indices (N,) into the first and (N,) into the second series, both rising.
@@ -31,7 +34,8 @@ def match(
     if not len(a) or not len(b):
         return np.zeros(0, int), np.zeros(0, int)
     if tolerance is None:
-        tolerance = min(sample_step(a), sample_step(b)) / 2
+        step = min(sample_step(a), sample_step(b))
+        tolerance = step / 2 if np.isfinite(step) else MILLISECOND_S
     nearest_b, nearest_a = _nearest(b, a), _nearest(a, b)
     mutual = nearest_a[nearest_b] == np.arange(len(a))
     # A microsecond's slack: text files round their time stamps.

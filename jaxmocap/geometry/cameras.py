@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.compilation.arrays import namespace, on_device
-from jaxmocap.geometry.lenses import BROWN_CONRADY, LENSES, Component
+from jaxmocap.geometry.lenses import BROWN_CONRADY, FISHEYE, LENSES, Component
 from jaxmocap.geometry.rotations import HIGHEST, exp, rotate
 
 # Pixels: of a picture's side, and of the principal point from the picture's first pixel.
@@ -28,6 +28,8 @@ SMALLEST_FOCAL, LARGEST_FOCAL = 1e-3, 1e8
 LARGEST_DISTORTION, LARGEST_TANGENTIAL = 1e6, 100.0
 # Points nearer than this to the camera's plane, or behind it, are projected as if they lay here.
 NEAREST_M = 0.05
+# Lenses bend lines; beyond this much of the image's size their formula means nothing.
+DISTORTION_MARGIN = 0.5
 
 # Fields of view of cameras without distortion, along the longer side, degrees.
 LEAST_FOV_DEG, MOST_FOV_DEG = 5.0, 150.0
@@ -196,9 +198,21 @@ def pixel_components(camera: Camera, x: Component, y: Component) -> tuple[Compon
     return _from_plane(camera, *LENSES[camera.lens].distort(camera.distortion, x, y))
 
 
-def pinhole_components(camera: Camera, x: Component, y: Component) -> tuple[Component, Component]:
-    """``pixel_components`` of the same camera without its lens's distortion."""
-    return _from_plane(camera, x, y)
+def pixel_components_anywhere(
+    camera: Camera, x: Component, y: Component
+) -> tuple[Component, Component]:
+    """``pixel_components`` of points that may lie far outside the image.
+
+    Polynomials of a lens hold near the image, and farther out fold points back into it: there
+    points are where a pinhole has them.
+    """
+    bent, plain = pixel_components(camera, x, y), _from_plane(camera, x, y)
+    if camera.lens == FISHEYE:
+        return bent
+    reach = 0.5 + DISTORTION_MARGIN
+    near = [abs(plain[i] - camera.size[i] / 2) <= reach * camera.size[i] for i in range(2)]
+    where = namespace(x).where
+    return where(near[0] & near[1], bent[0], plain[0]), where(near[0] & near[1], bent[1], plain[1])
 
 
 def _from_plane(camera: Camera, x: Component, y: Component) -> tuple[Component, Component]:

@@ -26,7 +26,11 @@ from jaxmocap.body.arms import Arms, arms_of
 from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract
-from jaxmocap.compilation.arguments import check_kind, check_shape
+from jaxmocap.compilation.arguments import (
+    check_kind,
+    check_shape,
+    is_traced,
+)
 from jaxmocap.compilation.programs import Program, program
 from jaxmocap.evidence.edges import EdgeFields, WeightedEdges
 from jaxmocap.evidence.markers import Goals
@@ -268,7 +272,8 @@ def smooth(model: Model, settings: Settings, events: Events) -> SmoothMotion:
         T poses, and (T, L, 3) landmarks, world, metres, of the model's dtype.
 
     Raises:
-        TypeError, ValueError: fewer than 3 events, or an array without a row for each of them.
+        TypeError, ValueError: fewer than 3 events, times that do not ascend, or an array without a
+            row for each of them.
 
     Example:
         >>> from jaxmocap import Model, Recording, Settings, first_pass, smooth
@@ -280,7 +285,8 @@ def smooth(model: Model, settings: Settings, events: Events) -> SmoothMotion:
         True
     """
     model, settings = check_arguments(model, settings, Settings)
-    return _SMOOTH(model, settings.smoothing, check_events(model, events))
+    motion = _SMOOTH(model, settings.smoothing, check_events(model, events))
+    return motion if is_traced(events.times) else motion._replace(times=events.times)
 
 
 _SMOOTH = Program(smooth_events, "smooth", effort="quick")

@@ -21,18 +21,20 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.cones import cones
 from jaxmocap.body.tree import Tree
 from jaxmocap.compilation.programs import program
+from jaxmocap.formats.time_series.resampling import LONGEST_BRIDGED_S, is_gap
+from jaxmocap.formats.time_series.tables import usual_step
 from jaxmocap.geometry.cameras import (
     NEAREST_M,
     Camera,
-    depth,
     on_host,
-    project,
+    pixel_components_anywhere,
     to_camera,
-    to_pixels,
 )
 from jaxmocap.geometry.outlines import outline, project_limb
 from jaxmocap.geometry.solids import Solid
 
+# A sample that is the only one is there for so long, seconds.
+ALONE_S = 0.05
 # Points on each straight side of an outline: smooth at 500 pixels.
 POINTS_ALONG = 8
 # Points on each round end of an outline.
@@ -58,7 +60,7 @@ class BodyScene:
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray] | None:
         """Near and far ends (B, 3) at a time, between the samples on a straight line.
 
-        None where the time lies more than a sample outside.
+        None where the time lies more than a sample outside, or within a gap.
         """
         return both_at(self.times, time, self.near, self.far)
 
@@ -68,15 +70,19 @@ def both_at(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Two arrays (T, ...) at a time, between the samples on a straight line.
 
-    None where the time lies more than a sample outside of times (T,), seconds.
+    None where the time lies more than a sample outside of times (T,), seconds, or within a gap.
     """
     after = int(np.clip(np.searchsorted(times, time), 1, max(len(times) - 1, 1)))
     before, after = after - 1, min(after, len(times) - 1)
     step = times[after] - times[before]
-    part = (time - times[before]) / step if step > 0 else time - times[before]
+    part = (time - times[before]) / (step or ALONE_S)
     if not -1.0 <= part <= 2.0:
         return None
     part = float(np.clip(part, 0.0, 1.0))
+    if step > LONGEST_BRIDGED_S and is_gap(times)[before]:
+        part = float(round(part))
+        if abs(time - times[before] - part * step) > usual_step(times):
+            return None
     ends = ((values[before], values[after]) for values in (a, b))
     first, second = ((1 - part) * start + part * end for start, end in ends)
     return first, second
@@ -99,9 +105,11 @@ def _place(skeleton: Skeleton, poses: Pose) -> tuple[Array, Array, Array]:
 
 def pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
     """Pixels (..., 2) of (..., 3) world points; NaN behind the camera or where missing."""
-    camera, points_world = on_host(camera), np.asarray(points_world, float)
-    ahead = depth(camera, points_world) > NEAREST_M
-    return np.where(ahead[..., None], project(camera, points_world), np.nan)
+    x, y, z = np.moveaxis(to_camera(on_host(camera), np.asarray(points_world, float)), -1, 0)
+    ahead = z > NEAREST_M
+    depths = np.where(ahead, z, 1.0)
+    xy = pixel_components_anywhere(on_host(camera), x / depths, y / depths)
+    return np.where(ahead[..., None], np.stack(xy, -1), np.nan)
 
 
 def limb_outlines(
@@ -131,7 +139,8 @@ def _outlines(camera: Camera, near: Array, far: Array, radii: Array) -> Array:
     loop = [left, round_far[..., ::-1, :], right[..., ::-1, :], round_near[..., ::-1, :]]
     closed = jnp.concatenate([*loop, left[..., :1, :]], -2)
     ahead = jnp.minimum(near_cam[..., 2], far_cam[..., 2]) - jnp.max(radii, -1) > NEAREST_M
-    return jnp.where(ahead[..., None, None], to_pixels(camera, closed), jnp.nan)
+    xy = jnp.stack(pixel_components_anywhere(camera, closed[..., 0], closed[..., 1]), -1)
+    return jnp.where(ahead[..., None, None], xy, jnp.nan)
 
 
 # The lowest points of a recording: this percentile of the samples', so that one bad pose of many

@@ -14,9 +14,9 @@ from jaxmocap.capture.checks.cameras import MarkerVisibility, check_recording, m
 from jaxmocap.capture.checks.lengths import bone_list, check_stretched_arms
 from jaxmocap.capture.footage import open_unchecked
 from jaxmocap.capture.keypoints import open_keypoints
-from jaxmocap.capture.markers import median_interval
 from jaxmocap.capture.photographs import read_empty_room
 from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.tables import usual_step
 
 # Frames of a video that are decoded, from its first: 100 s at 30 Hz.
 MOST_DECODED = 3000
@@ -34,7 +34,7 @@ class RecordingCheck:
 
     def figures(self) -> dict[str, Any]:
         """Plain figures: metres, seconds, samples per second."""
-        times, interval = self.recording.times, median_interval(self.recording.times)
+        times, interval = self.recording.times, usual_step(self.recording.times)
         used = self.recording.marker_set
         return {
             "stature_m": skeleton_stature(self.recording.skeleton),

@@ -15,8 +15,10 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from scipy.linalg import solveh_banded
 
 from jaxmocap.body.motion import Motion, landmarks_over_time
@@ -44,11 +46,16 @@ STAY, HEIGHT, ANCHOR = 100.0, 1.0, 1e-4
 def retarget_motion(motion: Motion, skeleton: Skeleton) -> Motion:
     """The motion, played by another person.
 
-    The skeleton is the other's, with the same bones; the motion's joints move it.
+    The skeleton is the other's, with the same bones; the motion's joints move it. Where a pose is
+    missing, it stays so.
 
     Raises:
-        ValueError: the bones are others.
+        ValueError: the bones are others, or every pose is missing.
     """
+    whole, is_posed = motion, _is_posed(motion)
+    motion = _posed_part(motion)
+    if not len(motion.times):
+        raise ValueError("expected a pose; found none")
     mine, other = motion.skeleton, skeleton
     if other.tree.bones != mine.tree.bones:
         raise ValueError(
@@ -64,8 +71,26 @@ def retarget_motion(motion: Motion, skeleton: Skeleton) -> Motion:
     poses = Pose(jnp.zeros_like(motion.poses.position), *motion.poses[1:])
     by_feet = feet_way - feet(other, poses)
     root = jnp.asarray(_way(way, by_feet, ground_contacts(before)), float)
-    poses = poses._replace(position=root)
-    return Motion(other, motion.times, poses, origin_world=motion.origin_world)
+    rows = np.flatnonzero(is_posed)
+
+    def in_place(part: Array) -> Array:
+        return jnp.full((len(is_posed), *part.shape[1:]), jnp.nan, part.dtype).at[rows].set(part)
+
+    poses = jax.tree.map(in_place, poses._replace(position=root))
+    return Motion(other, whole.times, poses, origin_world=whole.origin_world)
+
+
+def _is_posed(motion: Motion) -> np.ndarray:
+    """(T,) whether there is a pose."""
+    every = np.concatenate([np.asarray(part) for part in motion.poses], 1)
+    return np.asarray(np.isfinite(every).all(1))
+
+
+def _posed_part(motion: Motion) -> Motion:
+    """The motion at the samples that have a pose."""
+    rows = _is_posed(motion)
+    poses = jax.tree.map(lambda part: jnp.asarray(part)[rows], motion.poses)
+    return replace(motion, times=motion.times[rows], poses=poses, report=None)
 
 
 def scale_by_legs(motion: Motion, skeleton: Skeleton, points: np.ndarray) -> np.ndarray:
@@ -115,6 +140,8 @@ def _way(wanted: np.ndarray, by_feet: np.ndarray, low: np.ndarray) -> np.ndarray
     fixed[2] += HEIGHT * low.sum(1)
     pulled = ANCHOR * wanted.T
     pulled[2] += HEIGHT * np.sum(low * by_feet[..., 2], 1)
+    if len(wanted) == 1:
+        return pulled.T / fixed.T
     joined = 1.0 + both.sum(1)
     steps = np.diff(wanted, axis=0) + np.einsum("tf,tfi->ti", both, np.diff(by_feet, axis=0))
     root = np.empty_like(wanted)
@@ -144,7 +171,7 @@ class RetargetedMotion(NamedTuple):
 
     def figures(self) -> dict:
         """Lengths of the legs, metres; errors of feet on the ground, metres (per second)."""
-        before, after = self.tracked, self.retargeted
+        before, after = _posed_part(self.tracked), _posed_part(self.retargeted)
         feet_before, feet_after = (
             feet(motion.skeleton, motion.poses) for motion in (before, after)
         )

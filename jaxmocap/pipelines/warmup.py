@@ -18,7 +18,7 @@ from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.toml import read_toml
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.settings import Settings, unused_setting
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.demo import standing_recording
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -32,6 +32,8 @@ TRACKED_S = 0.5
 STANDING_FRAMES = 16
 # Mode of tracking -> its name in the output; a live run needs the programs of the second.
 MODE_NAMES: dict[Mode, str] = {"own": "track", "causal": "track --causal"}
+# Of settings that neither search nor smooth.
+NEAREST_NAMES: dict[Mode, str] = {"nearest": "track"}
 # The same of a live run, by whether it smooths.
 LIVE_NAMES = {False: "live", True: "live --smooth"}
 # JAX's names of the events that are counted.
@@ -60,15 +62,17 @@ class CompilationCounts:
 
 
 def warm_up(recording: Recording, settings: Settings | None = None) -> list[CompilationCounts]:
-    """Compile what tracking the recording needs, offline and causally.
+    """Compile what tracking the recording needs, offline and causally where the settings allow it.
 
     Others with as many markers on the same bones and as many cameras need the same programs.
     """
     keep_compiled()
     short = first_half_second(recording)
     tracker = HybridTracker.from_recording(short, settings)
-    found = []
-    for mode, name in MODE_NAMES.items():
+    chosen, found = tracker.settings, []
+    for mode, name in (MODE_NAMES if chosen.search or chosen.smooth else NEAREST_NAMES).items():
+        if unused_setting(chosen, chosen.smooth, mode == "causal"):
+            continue
         with counting_compilations(name) as counts:
             track(short, tracker=tracker, mode=mode, progress=False)
         found.append(counts)
@@ -76,12 +80,18 @@ def warm_up(recording: Recording, settings: Settings | None = None) -> list[Comp
 
 
 def warm_up_live(setup: LiveSetup, settings: Settings | None = None) -> list[CompilationCounts]:
-    """Compile what a live run needs, with and without ``--smooth``; no device is opened."""
+    """Compile what a live run needs, with and without ``--smooth``; no device is opened.
+
+    Raises:
+        ValueError: settings with which there is no live run.
+    """
     keep_compiled()
-    found = []
+    chosen, found = settings or Settings(), []
     for smooth, name in LIVE_NAMES.items():
+        if smooth and unused_setting(chosen, smooth, causal=True):
+            continue
         with counting_compilations(name) as counts:
-            LiveTracking(setup, settings or Settings(), smooth).wait_until_ready()
+            LiveTracking(setup, chosen, smooth).wait_until_ready()
         found.append(counts)
     return found
 

@@ -5,7 +5,7 @@ into a marginal prior. Marker samples that follow closely lie between two poses 
 near their markers. What changes behind a pose that was given out fades in, so that the track does
 not jump (``fading``).
 
-    tracker = HybridTracker(skeleton, [camera], settings, marker_names)
+    tracker = HybridTracker(skeleton, [camera], settings, marker_sites(skeleton, places))
     state = tracker.init(markers)
     smoother = FixedLagSmoother(tracker.model, settings.smoothing)
     for time, markers, image in ...:  # NaN and None where there is nothing new

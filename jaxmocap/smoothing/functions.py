@@ -30,7 +30,7 @@ from jaxmocap.body.kinematics import (
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.compilation.arguments import check_kind, check_shape, floating
+from jaxmocap.compilation.arguments import check_kind, check_shape, floating, is_traced
 from jaxmocap.evidence.expansion import expand_terms
 from jaxmocap.evidence.shapes import check_measurements, check_pose, in_precision
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
@@ -75,12 +75,12 @@ class Events(NamedTuple):
 
 
 def check_events(model: Model, events: Any) -> Events:
-    """Events in the model's precision.
+    """Events in the model's precision, their times from the first one on.
 
     Raises:
         TypeError: no events, or no real numbers in them.
-        ValueError: fewer than 3, an array that has not a row for each, or silhouettes of other
-            cameras than the model's.
+        ValueError: fewer than 3, times that do not ascend, an array that has not a row for each, or
+            silhouettes of other cameras than the model's.
     """
     check_kind("events", events, Events)
     times = np.shape(events.times)
@@ -92,8 +92,15 @@ def check_events(model: Model, events: Any) -> Events:
         each = (T, model.camera_count)
         for leaf in jax.tree.leaves(events.silhouettes):
             check_shape("events.silhouettes", np.shape(leaf)[:2], each, "one for each camera")
+    seconds = floating("events.times", events.times, (T,), model.dtype)
+    if not is_traced(events.times):
+        # Single precision is too coarse for differences of the day's seconds.
+        host = np.asarray(events.times, float)
+        if not (np.diff(host) > 0).all():
+            raise ValueError("events.times: expected seconds that ascend")
+        seconds = jnp.asarray(host - host[0], seconds.dtype)
     return Events(
-        floating("events.times", events.times, (T,), model.dtype),
+        seconds,
         check_measurements("events.measured", model, events.measured, T),
         check_pose("events.poses", model, events.poses, (T,)),
         in_precision(model, events.silhouettes),

@@ -90,9 +90,27 @@ def test_other_bones_are_refused():
         retarget_motion(on_one_foot(), replace(PERSON, tree=trunk))
 
 
+def test_poses_that_are_missing_stay_so_and_change_no_other():
+    motion, other = on_one_foot(), other_proportions()
+    part = replace(motion, times=TIMES[3:], poses=Pose(*(part[3:] for part in motion.poses)))
+    gaps = Pose(*(part.at[:3].set(jnp.nan) for part in motion.poses))
+    played = retarget_motion(replace(motion, poses=gaps), other)
+    np.testing.assert_array_equal(played.times, TIMES)
+    for whole, expected in zip(played.poses, retarget_motion(part, other).poses, strict=True):
+        assert np.isnan(whole[:3]).all()
+        np.testing.assert_array_equal(whole[3:], expected)
+    nobody = Pose(*(np.nan * part for part in motion.poses))
+    with pytest.raises(ValueError, match="expected a pose; found none"):
+        retarget_motion(replace(motion, poses=nobody), other)
+    one = replace(motion, times=TIMES[:1], poses=Pose(*(part[:1] for part in motion.poses)))
+    assert np.isfinite(retarget_motion(one, other).poses.position).all()
+
+
 def test_the_command_writes_the_other_persons_motion(tmp_path, capsys):
     (tmp_path / "tracked").mkdir()
-    save_motion(tmp_path / "tracked" / "motion.npz", on_one_foot())
+    motion = on_one_foot()
+    late = Pose(*(part.at[:2].set(jnp.nan) for part in motion.poses))
+    save_motion(tmp_path / "tracked" / "motion.npz", replace(motion, poses=late))
     (tmp_path / "subject.toml").write_text("height = 1.6\n")
     given_ = [str(tmp_path / name) for name in ("tracked", "subject.toml", "out")]
     assert main(["retarget", given_[0], "--onto", given_[1], "--out", given_[2]]) == 0

@@ -1,6 +1,7 @@
 """What a T or an I pose tells of body and devices, and the live file that takes it."""
 
 import tomllib
+from codecs import BOM_UTF8
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -221,6 +222,14 @@ def test_a_file_without_a_subject_gets_one(tmp_path, monkeypatch):
     devices = devices_of(person(1.62), "t", 1.0, 1.62, np.random.default_rng(3))
     top = tomllib.loads(calibrated(tmp_path, monkeypatch, FILE, devices))
     assert top["subject"]["height"] == pytest.approx(1.62, abs=1e-3)
+
+
+def test_a_file_of_a_windows_editor_keeps_its_mark_and_the_ends_of_its_lines(tmp_path, monkeypatch):
+    devices = devices_of(person(1.62), "t", 1.0, 1.62, np.random.default_rng(3))
+    calibrated(tmp_path, monkeypatch, "\ufeff" + FILE.replace("\n", "\r\n"), devices)
+    content = (tmp_path / "live.toml").read_bytes()
+    assert content.startswith(BOM_UTF8) and b"height = 1.62" in content
+    assert content.count(b"\r\n") == content.count(b"\n")
 
 
 def test_who_moves_is_not_calibrated_and_the_file_stays(tmp_path, monkeypatch):

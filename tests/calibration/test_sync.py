@@ -243,7 +243,8 @@ def test_without_hands_all_markers_are_looked_at():
 
 def test_the_command_prints_the_line_to_put_into_the_file(tmp_path, capsys, refusal, monkeypatch):
     recording = recorded(waving(2), 0.137)
-    monkeypatch.setattr("jaxmocap.formats.recordings.recording.load_recording", lambda _: recording)
+    read = "jaxmocap.formats.recordings.recording.load_recording"
+    monkeypatch.setattr(read, lambda *_: recording)
     file = tmp_path / "sync.json"
     assert main(["sync", "r.toml", "--search", "0.2", "--json", str(file)]) == 0
     (figures,) = json.loads(file.read_text())["videos"]

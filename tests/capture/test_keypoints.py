@@ -321,6 +321,11 @@ def by_names(names: dict[str, str], person: np.ndarray) -> dict:
             {"0.json": [instance(COMPLETE) | {"keypoint_scores": [1.0]}]},
             "[0].keypoint_scores: found shape (1,), expected one score for each key point (17)",
         ),
+        (
+            {"0.json": [{"keypoints": [[1, 2, 0.3]], "keypoint_scores": [0.9]}]},
+            "[0].keypoints: found [x, y, z] with 'keypoint_scores', expected [x, y] in pixels",
+        ),
+        ({"0.json": [{"keypoints": [], "keypoint_scores": []}]}, "[0].keypoints: found shape (0,)"),
         ({"0.json": [{"instances": []}]}, "[0].frame_id: found None, expected a whole"),
         ({"0.json": {"instance_info": [4]}}, "instance_info[0].keypoints: found None"),
         (

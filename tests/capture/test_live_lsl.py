@@ -18,7 +18,7 @@ except (ImportError, RuntimeError):
 MARKERS = ("Head", "LWrist")
 
 
-def outlet(name: str, labels: list[str], unit: str = "millimeters", kind: str = "float32"):
+def outlet(name: str, labels: list[str], unit: str = "millimetres", kind: str = "float32"):
     """A stream of 90 samples a second."""
     info = pylsl.StreamInfo(name, "MoCap", len(labels), 90, kind, f"{name}-1")
     channels = info.desc().append_child("channels")

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -53,7 +54,7 @@ def test_what_is_tracked_is_the_first_half_second_that_has_both():
 
 def test_the_command_tracks_both_ways_and_says_what_it_took(monkeypatch, capsys):
     asked = []
-    made = lambda recording, settings: settings.refine  # noqa: E731
+    made = lambda recording, settings: SimpleNamespace(settings=settings)  # noqa: E731
     monkeypatch.setattr(warmup.HybridTracker, "from_recording", made)
     monkeypatch.setattr(
         warmup,
@@ -62,12 +63,33 @@ def test_the_command_tracks_both_ways_and_says_what_it_took(monkeypatch, capsys)
     )
     assert main(["warmup", "--refine", "none", "--json", "-"]) == 0
     printed = capsys.readouterr()
-    assert [mode for _, _, mode in asked] == ["own", "causal"] and asked[0][1] == "none"
+    assert [mode for _, _, mode in asked] == ["own", "causal"]
+    assert asked[0][1].settings.refine == "none"
     assert asked[0][0].name == "standing" and len(asked[0][0].times) == 15
     assert [each["mode"] for each in json.loads(printed.out)["modes"]] == list(
         warmup.MODE_NAMES.values()
     )
     assert "track: 0.0 s, 0 programs compiled" in printed.err and "kept in" in printed.err
+
+
+@pytest.mark.parametrize(
+    ("settings", "modes"),
+    [
+        ("smooth = false\nlow_pass = 2.0\n", ["own"]),
+        ("smooth = false\nsearch = false\n", ["nearest"]),
+        ('smooth = false\nrefine = "simplex"\n', ["own", "causal"]),
+    ],
+)
+def test_ways_that_the_settings_do_not_allow_are_not_compiled(
+    tmp_path, monkeypatch, capsys, settings, modes
+):
+    asked = []
+    made = lambda recording, settings: SimpleNamespace(settings=settings)  # noqa: E731
+    monkeypatch.setattr(warmup.HybridTracker, "from_recording", made)
+    monkeypatch.setattr(warmup, "track", lambda recording, mode, **_: asked.append(mode))
+    (tmp_path / "s.toml").write_text(settings)
+    assert main(["warmup", "--settings", str(tmp_path / "s.toml")]) == 0
+    assert asked == modes
 
 
 def test_a_live_file_is_compiled_for_live_with_and_without_smoothing(tmp_path, monkeypatch, capsys):
@@ -86,3 +108,7 @@ def test_a_live_file_is_compiled_for_live_with_and_without_smoothing(tmp_path, m
     assert main(["warmup", str(path), "--refine", "none"]) == 0
     assert asked == [(("Hmd",), "none", False), (("Hmd",), "none", True)]
     assert "live --smooth: 0.0 s, 0 programs compiled" in capsys.readouterr().out
+    # Which live runs take without smoothing only.
+    asked.clear()
+    assert main(["warmup", str(path), "--refine", "simplex"]) == 0
+    assert asked == [(("Hmd",), "simplex", False)]

@@ -171,6 +171,22 @@ def test_units_of_bvh_files_are_told_by_the_bodys_size_or_asked_for(folder, tmp_
     assert float(third) * metres == pytest.approx(armature.positions[-1, 1], abs=2e-6)
 
 
+def test_a_root_on_the_floor_makes_nobody_taller(tmp_path):
+    """Centimetres: from the hips to the head 125, to the foot 95; from the root to the head 225."""
+    limbs = "".join(
+        f"JOINT {name}\n{{\nOFFSET 0 {way} 0\nCHANNELS 3 Zrotation Xrotation Yrotation\n"
+        f"End Site\n{{\nOFFSET 0 {end} 0\n}}\n}}\n"
+        for name, way, end in (("Spine", 60, 65), ("Leg", -50, -45))
+    )
+    (tmp_path / "a.bvh").write_text(
+        "HIERARCHY\nROOT Reference\n{\nOFFSET 0 0 0\nCHANNELS 3 Xposition Yposition Zposition\n"
+        "JOINT Hips\n{\nOFFSET 0 100 0\nCHANNELS 3 Zrotation Xrotation Yrotation\n"
+        f"{limbs}}}\n}}\nMOTION\nFrames: 1\nFrame Time: 0.01\n" + "0 " * 12 + "\n"
+    )
+    armature = read_bvh(tmp_path / "a.bvh")
+    np.testing.assert_allclose(armature.offsets[armature.names.index("Hips")], [0, 1, 0])
+
+
 def test_a_bvh_file_has_a_pose_for_every_frame_at_one_rate(tmp_path):
     motion = moving_body()
     unknown = np.array(motion.poses.position)

@@ -1,6 +1,7 @@
 """Calibration files: one section changed and nothing else, OpenCV's YAML read as TOML is."""
 
 import tomllib
+from codecs import BOM_UTF8
 
 import cv2
 import numpy as np
@@ -112,6 +113,10 @@ def test_a_camera_is_added_to_a_file_and_makes_one_where_there_is_none(tmp_path)
     np.testing.assert_allclose(cameras["cam"].matrix, MATRIX)
     np.testing.assert_array_equal(read_intrinsics(path, "cam").distortions, LENS.distortions)
     assert [p.name for p in path.parent.iterdir()] == ["c.toml"]
+    path.write_bytes(BOM_UTF8 + path.read_bytes().replace(b"\n", b"\r\n"))
+    write_camera(path, "cam", placed)
+    content = path.read_bytes()
+    assert content.startswith(BOM_UTF8) and content.count(b"\r\n") == content.count(b"\n")
 
 
 # OpenCV's YAML -----------------------------------------------------------------------------------

@@ -80,6 +80,39 @@ def test_numbers_of_other_programs_are_read(tmp_path):
     np.testing.assert_allclose(armature.rotations[3, 1], np.eye(3), atol=1e-9)
 
 
+def walking(above: dict | None) -> tuple[dict[str, Any], bytes]:
+    """The same, the hip going along, below a node or none; and its block."""
+    content, way = document(), np.outer(KEYS, [0.1, 0, 0]).astype("<f4") + np.float32([0, 1, 0])
+    more = {"bufferView": 2, "componentType": 5126, "count": 4, "type": "VEC3"}
+    content["accessors"].append(more)
+    content["bufferViews"].append({"buffer": 0, "byteOffset": 80, "byteLength": 48})
+    content["buffers"] = [{"byteLength": 128}]
+    (animation,) = content["animations"]
+    animation["samplers"].append({"input": 0, "output": 2})
+    target = {"sampler": 1, "target": {"node": 0, "path": "translation"}}
+    animation["channels"].append(target)
+    if above is not None:
+        content["nodes"].append({"name": "Armature", "children": [0]} | above)
+        content["skins"] = [{"joints": [0, 1]}]
+    return content, KEYS.tobytes() + TURNS.tobytes() + way.tobytes()
+
+
+def test_the_object_that_a_skeleton_stands_on_is_no_joint(tmp_path):
+    plain = read_gltf(written(tmp_path / "a.glb", *walking(None)))
+    same = read_gltf(written(tmp_path / "b.glb", *walking({})))
+    assert same.names == plain.names == ("hip", "knee")
+    for name in ("offsets", "positions", "rotations"):
+        np.testing.assert_allclose(getattr(same, name), getattr(plain, name), atol=1e-12)
+    # Quarter a turn about x, and elsewhere: y up becomes z up.
+    half = float(np.sqrt(0.5))
+    turned = {"rotation": [half, 0, 0, half], "translation": [0, 0, 3]}
+    other = read_gltf(written(tmp_path / "c.glb", *walking(turned)))
+    expected = plain.positions[:, [0, 2, 1]] * [1, -1, 1] + [0, 0, 3]
+    np.testing.assert_allclose(other.positions, expected, atol=1e-6)
+    np.testing.assert_allclose(other.offsets[1], [0, 0, -0.4], atol=1e-6)
+    np.testing.assert_allclose(other.rotations, plain.rotations, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("place", "value", "message"),
     [

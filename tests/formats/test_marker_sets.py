@@ -1,5 +1,6 @@
 """Sets of markers: a recording in three lines, and what is wrong with those lines."""
 
+import argparse
 import json
 
 import numpy as np
@@ -8,6 +9,7 @@ from conftest import complaint
 
 from jaxmocap.body.skeleton import Skeleton, with_joints, with_wrists
 from jaxmocap.cli.program import main
+from jaxmocap.cli.recording_options import recording_of
 from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.formats.marker_sets.sets import read_set, set_file, set_names
 from jaxmocap.formats.recordings.recording import load_recording
@@ -73,6 +75,21 @@ def test_offsets_grow_with_the_person():
     small, tall = (found(BODY, Skeleton.human(h)).entries["LASI"]["offset"] for h in (1.7, 2.04))
     assert np.array(small) == pytest.approx([0.066, 0.128, 0.097], abs=1e-4)
     assert np.array(tall) == pytest.approx(1.2 * np.array(small), rel=1e-4)
+
+
+def test_a_height_of_the_command_line_is_that_of_the_subject(tmp_path):
+    labels = [label for part in set_file("plug-in-gait") for label in part]
+    other = recording(tmp_path, 'set = "plug-in-gait"\n[subject]\nheight = 1.85', labels)
+    expected = load_recording(other)
+    path = recording(tmp_path, 'set = "plug-in-gait"', labels)
+    actual = recording_of(argparse.Namespace(recording=path, cameras=None, height=1.85))
+    assert len(expected.skeleton.tree.joints) > len(Skeleton.human(1.85).tree.joints)
+    assert actual.skeleton.tree.joints == expected.skeleton.tree.joints
+    np.testing.assert_array_equal(actual.skeleton.lengths, expected.skeleton.lengths)
+    assert actual.warnings == expected.warnings == ()
+    for ours, theirs in zip(actual.places, expected.places, strict=True):
+        assert ours.name == theirs.name
+        np.testing.assert_array_equal(ours.offset, theirs.offset)
 
 
 def test_a_persons_name_may_precede_the_labels_and_tells_two_people_apart():

@@ -168,4 +168,4 @@ def test_what_cannot_be_written_names_the_file(tmp_path):
 def test_samples_that_follow_one_another_faster_than_any_device_measures_are_refused(tmp_path):
     rows = "".join(f"{i}e-9,1,2,3\n" for i in range(5))
     message = complaint(tmp_path, ".csv", f"time,Head.x,Head.y,Head.z\n{rows}")
-    assert "found samples 1e-09 s apart in the median, expected at least 1e-05 s" in message
+    assert "found samples 1e-09 s apart, expected at least 1e-05 s" in message

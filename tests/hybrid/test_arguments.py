@@ -12,6 +12,7 @@ from jaxmocap import Events, HybridTracker, Model, Pose, Settings, Skeleton
 from jaxmocap.compilation.programs import Program, keep_in
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.smoothing.functions import check_events
 
 MODEL, CHOSEN = Model.create(Skeleton.human(1.75)), Settings()
 MARKERS = np.array([[0, 0, 1.7], [0.3, 0.3, 1.0], [0.3, -0.3, 1.1]])
@@ -90,6 +91,7 @@ def measured(count, **others):
         (None, TypeError, "events: found NoneType, expected Events"),
         (Events(np.arange(2.0), measured(2), several(POSE, 2)), ValueError, "found 2, expected 3"),
         (Events(np.arange(4.0), {}, several(POSE, 4)), ValueError, "'markers' is missing"),
+        (Events(np.ones(4), measured(4), several(POSE, 4)), ValueError, "seconds that ascend"),
         (
             Events(np.arange(4.0), measured(4, markers=np.zeros((4, 2, 3))), several(POSE, 4)),
             ValueError,
@@ -102,6 +104,15 @@ def measured(count, **others):
 def test_events_that_do_not_fit_are_refused(events, error, sentence):
     with pytest.raises(error, match=sentence):
         jaxmocap.smooth(MODEL, CHOSEN, events)
+
+
+@pytest.mark.parametrize("begun", [0.0, 50_000.0, 1.7e9])
+def test_only_the_time_between_events_counts(begun):
+    times = begun + np.arange(4) / 30
+    events = Events(times, measured(4), several(POSE, 4))
+    np.testing.assert_allclose(check_events(MODEL, events).times, np.arange(4) / 30, atol=1e-6)
+    given = jax.jit(lambda times: check_events(MODEL, events._replace(times=times)).times)
+    np.testing.assert_array_equal(given(jnp.arange(4.0)), np.arange(4))
 
 
 def test_whole_numbers_and_lists_are_taken_and_a_solve_alone_is_compiled_once():

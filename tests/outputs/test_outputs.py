@@ -279,6 +279,28 @@ def test_a_scene_of_one_sample_is_there_at_its_time(motion):
     one = replace(motion, times=motion.times[:1], poses=Pose(*(part[:1] for part in motion.poses)))
     near, _ = make_scene(one).at(float(motion.times[0]))
     np.testing.assert_allclose(near, make_scene(motion).near[0], atol=1e-6)
+    assert make_scene(one).at(float(motion.times[0]) + 1.0) is None
+
+
+def test_within_a_gap_nobody_is_drawn(motion):
+    times = np.array(motion.times)
+    step = times[1] - times[0]
+    times[5:] += 10.0
+    scene = make_scene(replace(motion, times=times))
+    assert scene.at(times[4] + 2 * step) is None and scene.at((times[4] + times[5]) / 2) is None
+    for time, sample in ((times[4] + 0.5 * step, 4), (times[5] - 0.5 * step, 5)):
+        np.testing.assert_allclose(scene.at(time)[0], scene.near[sample])
+
+
+def test_what_is_far_outside_the_view_is_not_folded_into_the_image():
+    # 59.5° off the axis of a barrel lens, whose polynomial brings it back to the middle.
+    matrix = np.array([[900.0, 0, 640], [0, 900, 360], [0, 0, 1]])
+    camera = Camera.create((1280, 720), matrix, [-0.35, 0, 0, 0], np.eye(3), np.zeros(3))
+    ((u, _),) = pixels(camera, np.array([[1.7, 0, 1.0]]))
+    assert u == pytest.approx(640 + 900 * 1.7)
+    near, far = np.array([[1.6, 0, 1.0]]), np.array([[1.8, 0, 1.0]])
+    outline = limb_outlines(camera, near, far, np.array([[0.03, 0.03]]))
+    assert outline[0, :, 0].min() > 1280
 
 
 @settings(max_examples=25, deadline=None)

@@ -287,7 +287,7 @@ def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):
     errors[3, 1], deviations[4:7] = np.nan, 0.0
     deviations[4:7, ELBOWS, 0] = [[0.2, 0.5], [0.3, 0.6], [0.9, 0.7]]
     # Frames of which only some fall on a sample.
-    spent = report.milliseconds | {"observe": np.ones(5), "frame": np.array([2.0, 4.0, 9.0])}
+    spent = report.milliseconds | {"frame": np.array([2.0, 4.0, 9.0])}
     settings = report.settings | {"video_frames": 3, "seconds": {"first pass": 0.012}}
     changed_report = replace(
         report,

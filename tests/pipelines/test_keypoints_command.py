@@ -4,6 +4,7 @@ import errno
 import re
 import sys
 from codecs import BOM_UTF8
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper
 from small_recording import FRAMES, SIZE, write_small_recording
 
+from jaxmocap.capture.video import open_video
 from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoints import read_keypoints
@@ -21,6 +23,7 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.crops import crop_image
 from jaxmocap.pipelines.keypoints.by_mediapipe import mediapipe_detector
 from jaxmocap.pipelines.keypoints.by_onnx import onnx_detector
+from jaxmocap.pipelines.keypoints.detect import _boxes
 
 # Stands in for the package in the detector's environment: point n lies at (n, 2 n) hundredths.
 STUB = """
@@ -261,6 +264,15 @@ def test_the_command_takes_a_network(recording, tmp_path, capsys):
     assert detect(recording, detector=str(net)) == 0
     found = read_keypoints(recording.parent / "keypoints" / "cam.json")
     assert "elbow_l" in found.landmarks and "toe_l" in found.landmarks
+
+
+def test_the_box_is_about_the_markers_wherever_the_worlds_origin_is(recording):
+    near = Recording.load(recording)
+    (source,) = near.videos
+    far = replace(near, origin_world=np.array([500.0, 300.0, 0.0]))
+    expected, actual = (_boxes(each, source.camera, open_video(source)) for each in (near, far))
+    assert (expected[:, 2:] - expected[:, :2]).max() < max(source.camera.size)
+    np.testing.assert_allclose(actual, expected, atol=1e-3)
 
 
 def test_another_network_is_refused(tmp_path, recording, capsys):

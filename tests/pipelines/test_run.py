@@ -16,19 +16,20 @@ from small_recording import (
     small_recording,
     with_frames,
     with_outlier_and_gap,
+    write_small_recording,
 )
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.motion import SAMPLED, Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.capture.video import open_video
-from jaxmocap.cli.recording_options import select_cameras, with_height
+from jaxmocap.cli.recording_options import select_cameras
 from jaxmocap.evaluation.errors import evaluate
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.formats.recordings.filters import Filters
-from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.tables import Markers
 from jaxmocap.geometry.cameras import turn_camera
@@ -355,11 +356,12 @@ def test_cameras_are_chosen_by_name_and_a_wrong_name_lists_them():
         select_cameras(two, ["c"])
 
 
-def test_a_height_replaces_the_skeleton_and_a_wrong_one_is_refused():
-    taller, smaller = (with_height(small_recording(), each).skeleton for each in (1.9, 1.5))
+def test_a_height_replaces_the_subject_and_a_wrong_one_is_refused(tmp_path):
+    path = write_small_recording(tmp_path)
+    taller, smaller = (load_recording(path, {"height": each}).skeleton for each in (1.9, 1.5))
     np.testing.assert_allclose(taller.lengths, smaller.lengths * (1.9 / 1.5), rtol=1e-5)
-    with pytest.raises(InputError, match=r"small: .*height"):
-        with_height(small_recording(), 40.0)
+    with pytest.raises(InputError, match=r"recording.toml: \[subject\]: height = 40"):
+        load_recording(path, {"height": 40.0})
 
 
 def test_what_only_fits_frame_by_frame_is_refused_where_poses_are_smoothed():
@@ -397,6 +399,12 @@ def test_a_low_pass_is_refused_where_it_takes_no_part():
     ):
         with pytest.raises((ValueError, InputError), match=says):
             track(small_recording(), settings, mode=mode)
+
+
+@pytest.mark.parametrize("mode", ["own", "causal"])
+def test_the_papers_way_takes_the_nearest_frame_and_no_other(mode):
+    with pytest.raises(InputError, match=r"search = false \(--paper\), which takes no frame"):
+        track(small_recording(), Settings.paper(), mode=mode)
 
 
 def test_a_low_pass_acts_on_the_samples_of_an_unsmoothed_run():

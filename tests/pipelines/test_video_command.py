@@ -120,8 +120,20 @@ def test_the_recording_within_the_folder_is_not_in_the_way_of_the_outputs(
     assert capsys.readouterr().err.splitlines()[-1].endswith("recording.toml: enough")
     # But a file of somebody else is.
     (tmp_path / "tracked" / "joints.trc").write_text("mine")
+
+    def nobody(*_):
+        raise AssertionError("key points were detected before the folder was refused")
+
+    monkeypatch.setattr(by_mediapipe, "mediapipe_detector", lambda *_: Detector("COCO_17", nobody))
     assert main([*given, "--python", "any"]) == 2
     assert "joints.trc" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_folder_behind_a_symbolic_link_finds_the_video(clip, tmp_path):
+    (tmp_path / "deep" / "er").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "deep" / "er")
+    recording, _ = recording_of_video(clip, 1.75, 60.0, walker(), tmp_path / "link" / "recording")
+    assert recording.videos[0].path.samefile(clip)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import complaint
+from small_recording import small_recording
 from test_rim import BODY, ring
 
 from jaxmocap.body.pose import relaxed_pose, retract
@@ -233,3 +234,16 @@ def test_a_start_needs_markers_or_a_place():
     empty = Recording(Skeleton.human(1.75), np.zeros(0), np.zeros((0, 0, 3)), ())
     assert "expected --at X,Y,FACING" in complaint(start_pose, empty)
     assert np.asarray(start_pose(empty, (1.0, 2.0, 0.0)).position)[0] == pytest.approx(1.0)
+
+
+def test_a_start_by_markers_is_where_they_are_as_the_video_begins():
+    walks = small_recording()
+    before = walks.positions_world - [2.0, 0, 0]
+    times = np.concatenate([walks.times, walks.times + walks.times[-1] + 0.1])
+    late = replace(walks.videos[0], offset=float(times[len(walks.times)]))
+    positions = np.concatenate([before, walks.positions_world])
+    # A marker less than before.
+    positions[len(before) :, 0] = np.nan
+    there = replace(walks, times=times, positions_world=positions, videos=(late,))
+    expected = start_pose(replace(walks, positions_world=positions[len(before) :]))
+    np.testing.assert_allclose(start_pose(there).position, expected.position, atol=1e-5)

@@ -13,17 +13,15 @@ from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.body_reach import standing_points
 from jaxmocap.capture.checks.markers import check_markers
 from jaxmocap.capture.checks.sides import facing_of_pairs
-from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
+from jaxmocap.formats.time_series.tables import usual_step
 from jaxmocap.geometry.cameras import (
     NEAREST_M,
     Camera,
     camera_components,
     on_host,
-    pinhole_components,
-    pixel_components,
+    pixel_components_anywhere,
 )
-from jaxmocap.geometry.lenses import FISHEYE
 
 # Nobody is filmed from further away; a calibration in millimetres puts the camera there.
 MAX_DISTANCE_M = 150.0
@@ -35,8 +33,6 @@ MIN_VISIBLE_SHARE = 0.5
 MIN_COVERED_SHARE = 0.5
 # Other axes that show so much explain why these do not.
 MIN_EXPLAINED_SHARE = 0.9
-# Lenses bend lines; beyond this much of the image's size their formula means nothing.
-DISTORTION_MARGIN = 0.5
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ def marker_visibility(
 ) -> MarkerVisibility:
     """How much of the markers one camera covers and shows."""
     times, positions = recording.times, recording.positions_world
-    half = max(median_interval(video_times), median_interval(times)) / 2
+    half = max(usual_step(video_times), usual_step(times)) / 2
     inside = (times >= video_times[0] - half) & (times <= video_times[-1] + half)
     is_present = np.asarray(np.isfinite(positions).all(-1))
     middle = np.median(positions[is_present], 0)
@@ -88,15 +84,8 @@ def project_to_pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
     x, y, z = camera_components(camera, *np.asarray(points_world, float).T)
     ahead = z > NEAREST_M
     depths = np.where(ahead, z, 1.0)
-    pinhole_xy, bent_xy = (
-        np.where(ahead, components(camera, x / depths, y / depths), np.nan).T
-        for components in (pinhole_components, pixel_components)
-    )
-    if camera.lens == FISHEYE:
-        return bent_xy
-    size = np.asarray(camera.size, float)
-    near = np.asarray((np.abs(pinhole_xy - size / 2) <= (0.5 + DISTORTION_MARGIN) * size).all(-1))
-    return np.where(near[:, None], bent_xy, pinhole_xy)
+    xy = pixel_components_anywhere(camera, x / depths, y / depths)
+    return np.where(ahead, xy, np.nan).T
 
 
 def points_in_image(camera: Camera, points_world: np.ndarray) -> np.ndarray:

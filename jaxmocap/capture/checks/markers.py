@@ -15,8 +15,8 @@ from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.body_reach import ReachCounts, standing_points
 from jaxmocap.capture.checks.lengths import check_lengths
 from jaxmocap.capture.checks.sides import check_heights, check_sides
-from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.tables import usual_step
 from jaxmocap.geometry.origin import local_origin
 
 # Markers that span so many times as much as on somebody who stands are in another unit,
@@ -154,7 +154,7 @@ def _span(positions: np.ndarray) -> np.ndarray:
 
 
 def _check_times(recording: Recording) -> Iterator[Finding]:
-    interval, stated = median_interval(recording.times), recording.stated_rate
+    interval, stated = usual_step(recording.times), recording.stated_rate
     if not interval:
         return
     rate, (low, high) = 1 / interval, RATE_RANGE_HZ

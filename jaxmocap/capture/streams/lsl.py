@@ -31,7 +31,10 @@ MAX_CHANNELS = 4096
 # or longer labels and units.
 MAX_LABEL_CHARACTERS = 200
 MAX_STREAM_CHARACTERS = 200
-METRES_PER_UNIT = {"": 1.0, "m": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "millimeters": 1e-3}
+METRES_PER_UNIT = dict.fromkeys(("", "m", "meter", "meters", "metre", "metres"), 1.0)
+METRES_PER_UNIT |= dict.fromkeys(
+    ("mm", "millimeter", "millimeters", "millimetre", "millimetres"), 1e-3
+)
 
 
 class MarkerStream(MarkerSource):

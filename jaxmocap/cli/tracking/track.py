@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
 
     keep_compiled()
     settings, recording = settings_of(options), recording_of(options)
-    mode = options.mode or ("nearest" if options.paper else "own")
+    mode = options.mode or ("own" if settings.search or settings.smooth else "nearest")
     # Whether the folder can be written to, before any work.
     tracked_folder(options.out, recording, [OPENSIM_FILE] if options.names else [])
     motion = track_both(recording, settings, mode=mode, progress=True, why=options.why).motion

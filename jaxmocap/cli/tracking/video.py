@@ -37,18 +37,23 @@ def run(options: argparse.Namespace) -> int:
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.silhouettes.keypoints import lost_sentences
     from jaxmocap.pipelines.silhouettes.track import track_silhouettes
-    from jaxmocap.pipelines.silhouettes.video import RECORDING, recording_of_video
+    from jaxmocap.pipelines.silhouettes.video import (
+        RECORDING,
+        recording_of_video,
+        unmade_recording,
+    )
     from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results
     from jaxmocap.pipelines.summary import figures, summary
 
     keep_compiled()
-    detector, out = detector_of(options), Path(options.out)
+    detector, out, inputs = detector_of(options), Path(options.out), [Path(options.video)]
+    # Whether the folder can be written to, before any work.
+    results_folder(out, unmade_recording(), inputs)
     made, warnings_before = recording_of_video(
         options.video, options.height, options.fov, detector, out / FOLDER, progress=True
     )
     # What was made within the folder is not in the way of what is written to it.
-    made_here, inputs = replace(made, path=None), [Path(options.video)]
-    results_folder(out, made_here, inputs)
+    made_here = replace(made, path=None)
     followed = track_silhouettes(made, warnings_before=warnings_before, progress=True)
     warnings: list[str] = []
     files = write_results(followed, made_here, out, True, inputs=inputs, warn=warnings.append)

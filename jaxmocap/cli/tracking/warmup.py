@@ -31,11 +31,11 @@ def run(options: argparse.Namespace) -> None:
     from jaxmocap.pipelines.kept_programs import cache_folder
 
     subject = warmup.load_or_standing(options.recording)
-    settings = settings_of(options)
     if isinstance(subject, Recording):
-        compilations = warmup.warm_up(subject, settings)
+        compilations = warmup.warm_up(subject, settings_of(options))
     else:
-        compilations = warmup.warm_up_live(subject, settings)
+        # With --smooth as well, where the settings allow it.
+        compilations = warmup.warm_up_live(subject, settings_of(options, smooth=False))
     folder = cache_folder()
     lines = [*(each.text() for each in compilations), f"kept in {folder}"]
     figures = {"modes": [asdict(each) for each in compilations], "kept_in": str(folder)}

@@ -126,19 +126,23 @@ def _local_rotations(joint: _Joint, columns: np.ndarray) -> np.ndarray:
 
 
 def _inferred_unit(path: str | Path, parents: list[int], offsets: np.ndarray) -> str:
-    """The unit in which the body is as large as a person."""
+    """The unit in which the body is as large as a person, from where it branches first."""
     distances = np.linalg.norm(offsets, axis=-1)
     distances[0] = 0.0
     for j, parent in enumerate(parents):
         if parent >= 0:
             distances[j] += distances[parent]
+    # A root on the floor below the hips is no part of the body.
+    branching = next((j for j in range(len(parents)) if parents.count(j) > 1), 0)
+    distances -= distances[branching]
     low, high = ROOT_TO_TIP_M
     fitting = [unit for unit in _INFERRED_UNITS if low <= distances.max() * UNITS[unit] <= high]
     if not fitting:
         raise InputError(
             path,
             f"the longest way from root to tip is {distances.max():.4g}, an adult's in none of "
-            f"{', '.join(_INFERRED_UNITS)}: state the unit (--unit {', '.join(UNITS)})",
+            f"{', '.join(_INFERRED_UNITS)}: state the unit (jaxmocap convert --unit "
+            f"{', '.join(UNITS)})",
         )
     return fitting[0]
 

@@ -30,7 +30,7 @@ from jaxmocap.formats.armatures.body_armature import T_POSE, armature_of
 from jaxmocap.formats.armatures.skin import surface_skin
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP
 from jaxmocap.formats.time_series.resampling import even_times, resample_armature
-from jaxmocap.formats.time_series.tables import is_even
+from jaxmocap.formats.time_series.tables import is_even, usual_step
 
 # What names joints have in a file if nothing else is asked for.
 DEFAULT_CONVENTION = {".bvh": "humanik", ".glb": "vrm"}
@@ -70,7 +70,7 @@ def _evenly_sampled(path: str | Path, armature: Armature) -> Armature:
     if is_even(times):
         return armature
     steps = np.diff(times)
-    rate = 1 / float(np.median(steps))
+    rate = 1 / usual_step(times)
     count, most = (times[-1] - times[0]) * rate, max(ALWAYS_ALLOWED_FRAMES, MAX_GROWTH * len(times))
     if count > most:
         problem = f"BVH has one rate only, and its {len(times)} samples at {rate:g} Hz would take"

@@ -2,7 +2,8 @@
 
 INPUTS: a .glb file with everything in it, of any program. OUTPUTS: an Armature in glTF's axes.
 
-Joints are the first skin's and what they hang on; without a skin, all nodes that hold no mesh.
+Joints are the first skin's and what they hang on; without a skin, all nodes that hold no mesh. What
+stands still above the joint that moves about, such as Blender's armature object, is none.
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,8 +52,9 @@ def read_gltf(path: str | Path) -> Armature:
     if len(times) * len(joints) > MAX_ROTATIONS:
         problem = f"found {len(times)} samples of {len(joints)} joints"
         raise animation.error(f"{problem}, expected at most {MAX_ROTATIONS} orientations")
+    above, joints, parents = _without_still_roots(accessors, nodes, joints, parents, curves, times)
     names = tuple(nodes[node].get("name", f"joint{node}").text() for node in joints)
-    offsets, positions, R = _joint_motion(accessors, nodes, joints, parents, curves, times)
+    offsets, positions, R = _joint_motion(accessors, nodes, above, joints, parents, curves, times)
     extras = animation["extras"]
     start = extras["start"].number(LATEST_S) if extras.has("start") else 0.0
     origin = extras["origin"].numbers(3, FARTHEST_M) if extras.has("origin") else np.zeros(3)
@@ -161,9 +163,36 @@ def _curves(
     return curves
 
 
+def _without_still_roots(
+    accessors: Accessors,
+    nodes: JsonPart,
+    joints: list[int],
+    parents: tuple[int, ...],
+    curves: _Curves,
+    times: np.ndarray,
+) -> tuple[tuple[np.ndarray, np.ndarray], list[int], tuple[int, ...]]:
+    """Rotation and position of what stands still above the first joint that moves about; joints."""
+
+    def motion_of(node: int) -> tuple[np.ndarray, np.ndarray]:
+        position, R = _rest_pose(nodes[node])
+        turns = _rotations_at(accessors, curves.get((node, "rotation")), times, R)
+        places = _positions_at(accessors, curves.get((node, "translation")), times, position)
+        return turns, places
+
+    R_above, above = np.eye(3), np.zeros(3)
+    while parents.count(0) == 1 and np.ptp(motion_of(joints[1])[1], axis=0).max() > MAX_SLIDE_M:
+        turns, places = motion_of(joints[0])
+        if np.ptp(places, axis=0).max() > MAX_SLIDE_M or np.ptp(turns, axis=0).max() > MAX_SLIDE_M:
+            break
+        R_above, above = R_above @ turns[0], above + R_above @ places[0]
+        joints, parents = joints[1:], tuple(parent - 1 for parent in parents[1:])
+    return (R_above, above), joints, parents
+
+
 def _joint_motion(
     accessors: Accessors,
     nodes: JsonPart,
+    above: tuple[np.ndarray, np.ndarray],
     joints: Sequence[int],
     parents: Sequence[int],
     curves: _Curves,
@@ -182,9 +211,9 @@ def _joint_motion(
         local_positions = _positions_at(
             accessors, curves.get((node, "translation")), times, rest_position
         )
-        R_up = np.eye(3) if parent < 0 else R_root_rest[parent]
+        R_up = above[0] if parent < 0 else R_root_rest[parent]
         if parent < 0:
-            positions = local_positions
+            positions = above[1] + local_positions @ R_up.T
         elif np.ptp(local_positions, axis=0).max() > MAX_SLIDE_M:
             raise part.error(f"joint {_name(part)} slides by more than a millimetre")
         else:

@@ -15,14 +15,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.formats.cameras.opencv_yaml import YAML_SUFFIXES, read_opencv_yaml
-from jaxmocap.formats.cameras.toml_sections import replace_entries
+from jaxmocap.formats.cameras.toml_sections import replace_entries, rewrite_toml
 from jaxmocap.formats.files.errors import InputError, comma_list, short_name, short_repr
 from jaxmocap.formats.files.toml import (
     TomlTable,
     file_name_problem,
     parse_toml,
     read_toml,
-    read_toml_text,
     toml_key,
     write_toml,
 )
@@ -209,14 +208,18 @@ def write_camera(path: str | Path, name: str, entries: Mapping[str, Any]) -> Non
     """
     path = Path(path)
     check_camera_writable(path, name)
-    text = ""
+
+    def change(text: str) -> str:
+        parse_toml(path, text)
+        try:
+            return replace_entries(text, name, {"name": name, **entries})
+        except ValueError as error:
+            raise InputError(path, f"camera {short_repr(name)} {error}") from None
+
     if path.exists():
-        parse_toml(path, text := read_toml_text(path))
-    try:
-        changed = replace_entries(text, name, {"name": name, **entries})
-    except ValueError as error:
-        raise InputError(path, f"camera {short_repr(name)} {error}") from None
-    write_text(path, changed)
+        rewrite_toml(path, change)
+    else:
+        write_text(path, change(""))
 
 
 def check_camera_writable(path: Path, name: str) -> None:

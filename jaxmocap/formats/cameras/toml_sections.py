@@ -6,12 +6,28 @@ OUTPUTS: the text with that section's entries replaced or added.
 
 import re
 import tomllib
+from codecs import BOM_UTF8
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from jaxmocap.formats.files.toml import statement_starts, toml_key, toml_value
+from jaxmocap.formats.files.toml import read_toml_text, statement_starts, toml_key, toml_value
+from jaxmocap.formats.files.writing import write_bytes
 
 _HEADER = re.compile(r"\s*\[.*\]\s*(#.*)?")
+
+
+def rewrite_toml(path: Path, change: Callable[[str], str]) -> None:
+    """Change a TOML file's text; the mark at its start and the ends of its lines stay as they were.
+
+    Raises:
+        InputError: no TOML.
+        OutputError: the file cannot be written.
+    """
+    before = path.read_bytes()
+    text = change(read_toml_text(path))
+    text = text.replace("\n", "\r\n") if b"\r\n" in before else text
+    write_bytes(path, text.encode("utf-8-sig" if before.startswith(BOM_UTF8) else "utf-8"))
 
 
 def replace_entries(text: str, section: str | Sequence[str], entries: Mapping[str, Any]) -> str:

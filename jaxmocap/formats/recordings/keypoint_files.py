@@ -140,8 +140,9 @@ def _instances(file: Path, where: str, instances: Any) -> list[np.ndarray]:
         at = f"{where}[{i}]"
         points = _array(file, f"{at}.keypoints", _entry(instance, "keypoints"))
         scores = _entry(instance, "keypoint_scores")
-        if scores is not None and points.shape[1:] == (2,):
+        if scores is not None:
             scores = _array(file, f"{at}.keypoint_scores", scores)
+        if scores is not None and points.shape[1:] == (2,):
             if scores.shape != points.shape[:1]:
                 problem = f"found shape {scores.shape}, expected one score for each key point"
                 raise InputError(file, f"{at}.keypoint_scores: {problem} ({len(points)})")
@@ -150,6 +151,10 @@ def _instances(file: Path, where: str, instances: Any) -> list[np.ndarray]:
             expected = "[x, y] of each with 'keypoint_scores', or [x, y, score]"
             problem = f"{at}.keypoints: found shape {points.shape}, expected {expected}"
             raise InputError(file, problem)
+        if scores is not None and not np.array_equal(points[:, 2], scores, equal_nan=True):
+            # MMPose's joints in space, which are no pixels.
+            problem = "found [x, y, z] with 'keypoint_scores', expected [x, y] in pixels"
+            raise InputError(file, f"{at}.keypoints: {problem}")
         points = _with_missing_as_nan(points)
         joints = _entry(instance, "keypoints_3d")
         if joints is not None:

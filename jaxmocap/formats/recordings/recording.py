@@ -117,15 +117,22 @@ class Recording:
         return load_recording(path)
 
 
-def load_recording(path: str | Path) -> Recording:
+def load_recording(path: str | Path, subject: Mapping[str, Any] | None = None) -> Recording:
     """Read a recording file and all that it names but the video's frames.
+
+    Args:
+        path: of the file.
+        subject: the keys of [subject], in place of those in the file.
 
     Raises:
         InputError: a file that is missing or cannot be used, or a field that is missing, unknown
             or does not fit.
     """
     path = Path(path)
-    top = TomlTable(path, "", read_toml(path), TABLES)
+    entries = read_toml(path)
+    if subject is not None:
+        entries = entries | {"subject": dict(subject)}
+    top = TomlTable(path, "", entries, TABLES)
     skeleton, warnings = subject_or_default(top)
     if "markers" not in top and not top.entries.get("video"):
         raise top.error("", "neither [markers] nor [[video]], expected one of them")

@@ -103,7 +103,7 @@ def _read(path: str | Path) -> _Content:
     """What ezc3d finds, in a process of its own, which a damaged file may take along."""
     regular_file(path)
     script = [sys.executable, "-I", c3d_process.__file__]
-    command = [*script, os.path.abspath(path), str(MAX_MEMORY_BYTES)]
+    command = [*script, os.path.realpath(path), str(MAX_MEMORY_BYTES)]
     # Each further thread of its libraries would take addresses.
     alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     try:

@@ -21,7 +21,7 @@ from jaxmocap.body.orientations import matrices, quaternions
 from jaxmocap.body.pose import Pose
 from jaxmocap.formats.armatures.armature import Armature
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.time_series.tables import Markers
+from jaxmocap.formats.time_series.tables import Markers, usual_step
 from jaxmocap.geometry.rows import ComputedRows, Index, Rows, row_blocks, take_rows
 
 # Numbers that may come of any recording, and at most: half an hour of a body at 200 Hz is 81
@@ -148,10 +148,7 @@ def resample_motion(motion: Motion, times: np.ndarray) -> Motion:
 
 def is_gap(times: np.ndarray) -> np.ndarray:
     """(T - 1,) whether what lies between each of (T,) times and the next one is a gap."""
-    steps = np.diff(times)
-    if not len(steps):
-        return np.zeros(0, bool)
-    return steps > max(LONGEST_BRIDGED_S, MAX_INTERVALS_BRIDGED * float(np.median(steps)))
+    return np.diff(times) > max(LONGEST_BRIDGED_S, MAX_INTERVALS_BRIDGED * usual_step(times))
 
 
 def hold_across_gaps(armature: Armature) -> Armature:
@@ -162,7 +159,7 @@ def hold_across_gaps(armature: Armature) -> Armature:
     if not len(before) and len(valid_samples) == len(armature.times):
         return armature
     # One interval before the first pose after the gap, as if a sample were there.
-    interval = float(np.median(np.diff(times))) if len(before) else 0.0
+    interval = usual_step(times)
     order = np.insert(valid_samples, before + 1, valid_samples[before])
     return replace(
         armature,

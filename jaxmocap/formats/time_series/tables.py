@@ -24,8 +24,10 @@ LARGEST_NUMBER = 1e15
 FARTHEST_M = 1e7
 # Seconds from 0: since any calendar's first day.
 LATEST_S = 1e11
-# Seconds between samples, in the median.
+# Seconds between samples.
 SHORTEST_STEP_S = 1e-5
+# Some files round times to a millisecond: so far off is one then, and steps are longer than this.
+MILLISECOND_S, LEAST_ROUNDED_STEP_S = 1.001e-3, 3.9e-3
 # The last digit of what is written, metres.
 SMALLEST_M = 1e-6
 # Characters of a marker's or joint's name.
@@ -203,17 +205,44 @@ def check_times(
             path,
             f"{label(i + 1)}: time runs backwards, found {times[i + 1]:g} s after {times[i]:g} s",
         )
-    if len(times) > 1 and (step := float(np.median(np.diff(times)))) < SHORTEST_STEP_S:
+    if len(times) > 1 and (step := usual_step(times)) < SHORTEST_STEP_S:
         expected = f"expected at least {SHORTEST_STEP_S:g} s"
-        raise InputError(path, f"found samples {step:.3g} s apart in the median, {expected}")
+        raise InputError(path, f"found samples {step:.3g} s apart, {expected}")
+
+
+def usual_step(times: np.ndarray) -> float:
+    """Seconds between samples (T,): the mean of the steps near the median; 0 of fewer than two.
+
+    The median alone is none of 120 Hz in whole milliseconds.
+    """
+    if len(times) < 2:
+        return 0.0
+    steps = np.diff(times)
+    middle = float(np.median(steps))
+    near = steps[np.abs(steps - middle) <= min(MILLISECOND_S, middle / 2)]
+    return float(near.mean()) if len(near) else middle
 
 
 def is_even(times: np.ndarray) -> bool:
-    """Does no step of (T,) times differ from the mean by more than 1 %, or 2 µs as text rounds?"""
+    """Does no step of (T,) times differ from the mean by more than 1 %, or 2 µs as text rounds?
+
+    Where all times are whole milliseconds, each may be one off.
+    """
+    if len(times) < 2:
+        return True
     steps = np.diff(times)
-    return not len(steps) or bool(
-        np.abs(steps - steps.mean()).max() <= max(0.01 * steps.mean(), 2e-6)
-    )
+    mean = float(steps.mean())
+    if np.abs(steps - mean).max() <= max(0.01 * mean, 2e-6):
+        return True
+    evenly = times[0] + mean * np.arange(len(times))
+    return _in_milliseconds(times) and bool(np.abs(times - evenly).max() <= MILLISECOND_S)
+
+
+def _in_milliseconds(times: np.ndarray) -> bool:
+    """Whether times are whole milliseconds, and steps too long for one to be taken for another."""
+    parts = times / 1e-3
+    is_whole = np.abs(parts - np.round(parts)).max() < 1e-3
+    return bool(is_whole) and times[-1] - times[0] >= LEAST_ROUNDED_STEP_S * (len(times) - 1)
 
 
 def even_rate(path: str | Path, times: np.ndarray) -> float:
@@ -225,8 +254,10 @@ def even_rate(path: str | Path, times: np.ndarray) -> float:
         spacing = f"samples are {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms apart"
         raise InputError(path, f"{spacing}, the format holds one rate only (give --rate)")
     # 60.000024 is what is left of 60 after rounding.
-    rate = round(1 / step, 3)
-    return rate if abs(rate * step - 1) * len(times) < 1e-3 else 1 / step
+    slack = MILLISECOND_S / step if _in_milliseconds(times) else 1e-3
+    rates = (round(1 / step, decimals) for decimals in range(4))
+    fitting = (rate for rate in rates if abs(rate * step - 1) * len(times) < slack)
+    return next(fitting, 1 / step)
 
 
 def row_texts(values: Rows, between: str, decimals: int = 6, nan: str = "") -> Iterator[str]:

@@ -22,6 +22,7 @@ from jaxmocap.formats.time_series.tables import (
     parse_rows,
     row_texts,
     stack_points,
+    usual_step,
 )
 from jaxmocap.geometry.rows import Rows
 
@@ -116,7 +117,7 @@ def write_trc(
     """
     times, positions = stack_points(times, points, "\t\r\n\0", path)
     if rate is None:
-        rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+        rate = 1 / usual_step(times) if len(times) > 1 else 1.0
     count, rate_text = len(times), f"{round(rate, 2):g}"
     values = [rate_text, rate_text, count, len(points), "m", rate_text, 1, count]
     axes = [f"{axis}{i}" for i in range(1, len(points) + 1) for axis in "XYZ"]

@@ -200,8 +200,7 @@ def row_of(job: Job, motion: Motion, took_s: float) -> CorpusRow:
     """A tracked recording's line of the table."""
     report = motion.report
     assert report is not None
-    # Frames need not fall on a sample to have been observed.
-    is_observed = "observe" in report.milliseconds
+    is_observed = bool(report.settings.get("video_frames"))
     deviations = report.elbow_deviations if is_observed else np.full((1, 2), np.nan)
     finite = deviations[np.isfinite(deviations).all(1)]
     left, right = np.median(finite, axis=0) if len(finite) else (np.nan, np.nan)

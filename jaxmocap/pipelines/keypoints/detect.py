@@ -7,7 +7,6 @@ video; lines for the recording's file.
 """
 
 import json
-from codecs import BOM_UTF8
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -16,13 +15,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.capture.video import FrameSource, open_video
-from jaxmocap.formats.cameras.toml_sections import replace_entries_of_each
+from jaxmocap.formats.cameras.toml_sections import replace_entries_of_each, rewrite_toml
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
-from jaxmocap.formats.files.toml import read_toml_text
-from jaxmocap.formats.files.writing import write_bytes, write_text
+from jaxmocap.formats.files.writing import write_text
 from jaxmocap.formats.recordings.keypoint_models import MODELS
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import Camera, depth, on_host, project
@@ -108,7 +106,8 @@ def _boxes(recording: Recording, camera: Camera, video: FrameSource) -> np.ndarr
     motion = track(
         replace(recording, videos=()), Settings(refine="none", smooth=False), progress=False
     )
-    points = np.stack([motion.joints()[name] for name in LANDMARKS], 1)
+    # As the camera, about the local origin.
+    points = landmarks_over_time(motion.skeleton, motion.poses)
     nearest = np.abs(motion.times - video.times[:, None]).argmin(1)
     camera, there = on_host(camera), np.asarray(points[nearest], float)
     pixels = project(camera, there)
@@ -165,10 +164,10 @@ def put_into(recording: Path, entries: dict[str, str], model: str) -> None:
         kept = {key: value for key, value in stated.items() if key in video}
         return {} if entry is None else {"keypoints": entry, **kept}
 
-    before = recording.read_bytes()
-    try:
-        text = replace_entries_of_each(read_toml_text(recording), "video", keypoints)
-    except ValueError as error:
-        raise InputError(recording, f"[[video]] {error}: put the lines in by hand") from None
-    text = text.replace("\n", "\r\n") if b"\r\n" in before else text
-    write_bytes(recording, text.encode("utf-8-sig" if before.startswith(BOM_UTF8) else "utf-8"))
+    def change(text: str) -> str:
+        try:
+            return replace_entries_of_each(text, "video", keypoints)
+        except ValueError as error:
+            raise InputError(recording, f"[[video]] {error}: put the lines in by hand") from None
+
+    rewrite_toml(recording, change)

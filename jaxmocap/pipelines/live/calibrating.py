@@ -21,10 +21,9 @@ from jaxmocap.calibration.devices.standing import (
     calibrate_standing,
 )
 from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
-from jaxmocap.formats.cameras.toml_sections import replace_entries
+from jaxmocap.formats.cameras.toml_sections import replace_entries, rewrite_toml
 from jaxmocap.formats.files.errors import InputError, OutputError, comma_list
 from jaxmocap.formats.files.toml import toml_value
-from jaxmocap.formats.files.writing import write_text
 from jaxmocap.pipelines.live.setup import LiveSetup
 from jaxmocap.pipelines.live.status import LiveStatus
 
@@ -219,33 +218,42 @@ def _mean(positions_world: np.ndarray, R_world_marker: np.ndarray) -> tuple[np.n
 
 def _put_into(setup: LiveSetup, result: StandingCalibration) -> None:
     """Write it into the live file; comments and all other keys stay."""
-    path = setup.path
-    text = path.read_text("utf-8")
+
+    def change(text: str) -> str:
+        try:
+            return _with_result(text, result)
+        except ValueError as error:
+            lines = "; ".join(_summary(setup, result))
+            raise InputError(setup.path, f"{error}: put the lines in by hand: {lines}") from None
+
+    rewrite_toml(setup.path, change)
+
+
+def _with_result(text: str, result: StandingCalibration) -> str:
+    """The live file's text with it.
+
+    Raises:
+        ValueError: what is to change is not written so that it can be.
+    """
     top = tomllib.loads(text)
-    try:
-        for name, entry in top["markers"]["on"].items():
-            changes: dict[str, Any] = {}
-            if name in result.orientations and entry.get("turn") is not False:
-                changes["turn"] = _round_value("turn", result.orientations[name])
-            if name in result.offsets:
-                changes["offset"] = _round_value("offset", result.offsets[name])
-            if changes:
-                text = _with_marker(text, name, {**entry, **changes}, changes)
-        if result.height is not None:
-            text = replace_entries(
-                text, "subject", {"height": _round_value("height", result.height)}
-            )
-        if result.lengths:
-            bones = top.get("subject", {}).get("bones", {})
-            lengths = {
-                name: {**bones.get(name, {}), "length": _round_value("length", length)}
-                for name, length in result.lengths.items()
-            }
-            text = replace_entries(text, ("subject", "bones"), lengths)
-    except ValueError as error:
-        lines = "; ".join(_summary(setup, result))
-        raise InputError(path, f"{error}: put the lines in by hand: {lines}") from None
-    write_text(path, text)
+    for name, entry in top["markers"]["on"].items():
+        changes: dict[str, Any] = {}
+        if name in result.orientations and entry.get("turn") is not False:
+            changes["turn"] = _round_value("turn", result.orientations[name])
+        if name in result.offsets:
+            changes["offset"] = _round_value("offset", result.offsets[name])
+        if changes:
+            text = _with_marker(text, name, {**entry, **changes}, changes)
+    if result.height is not None:
+        text = replace_entries(text, "subject", {"height": _round_value("height", result.height)})
+    if result.lengths:
+        bones = top.get("subject", {}).get("bones", {})
+        lengths = {
+            name: {**bones.get(name, {}), "length": _round_value("length", length)}
+            for name, length in result.lengths.items()
+        }
+        text = replace_entries(text, ("subject", "bones"), lengths)
+    return text
 
 
 def _with_marker(text: str, name: str, entry: Mapping[str, Any], changes: Mapping[str, Any]) -> str:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.proportions import LENGTHS, scale_skeleton
-from jaxmocap.body.skeleton import Skeleton, scale_to_height, with_wrists
+from jaxmocap.body.skeleton import scale_to_height
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.calibration.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.capture.footage import cached_frames, forward_readers
@@ -51,7 +51,7 @@ def scale_by_recording(
     Raises:
         InputError: a recording that cannot determine lengths; what ``track`` would refuse.
     """
-    recording = _of_person(load_recording(path), height, mass)
+    recording = _load(path, height, mass)
     fit = fit_recording(recording, progress)
     stated = recording.skeleton
     # The girths are those of clothes and headset, which the file is not to hold.
@@ -88,19 +88,17 @@ def fit_recording(recording: Recording, progress: Progress | bool | None = None)
     return fit
 
 
-def _of_person(recording: Recording, height: float | None, mass: float | None) -> Recording:
+def _load(path: str | Path, height: float | None, mass: float | None) -> Recording:
     """The recording of a person of that height and mass, where they are given."""
-    skeleton = recording.skeleton
+    if height is not None:
+        return load_recording(path, {"height": height} | ({} if mass is None else {"mass": mass}))
+    recording = load_recording(path)
+    if mass is None:
+        return recording
     try:
-        if height is not None:
-            usual = Skeleton.human(height, mass)
-            wrists = usual.tree.joints != skeleton.tree.joints
-            skeleton = with_wrists(usual) if wrists else usual
-        elif mass is not None:
-            skeleton = scale_to_height(skeleton, None, mass)
+        return replace(recording, skeleton=scale_to_height(recording.skeleton, None, mass))
     except ValueError as error:
         raise recording.error(str(error)) from None
-    return replace(recording, skeleton=skeleton)
 
 
 def _check_recording(recording: Recording) -> None:

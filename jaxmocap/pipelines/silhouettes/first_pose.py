@@ -13,15 +13,20 @@ from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.morphing import Morphing, shoulders
 from jaxmocap.body.surfaces.surface import Surface
+from jaxmocap.formats.cameras.video_sources import VideoSource
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.morphing import read_morphing
 from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.tables import usual_step
 from jaxmocap.geometry.cameras import depth, project
 from jaxmocap.hybrid.settings import Settings as Hybrid
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.silhouettes.keypoints import has_keypoints
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
 from jaxmocap.silhouette.settings import Settings
+
+# Where the markers are so soon after a video has begun, the person is, seconds.
+SOON_S = 0.5
 
 
 def morphing_for(
@@ -90,10 +95,21 @@ def in_view(recording: Recording, skeleton: Skeleton, pose: Pose) -> bool:
     return False
 
 
+def _begins(source: VideoSource) -> float:
+    """Marker time at which a video begins, seconds."""
+    return source.offset + (0.0 if source.frames is None else float(source.frames[0][0]))
+
+
 def _by_markers(recording: Recording, body: Skeleton) -> Pose:
-    """The pose that the markers' inverse kinematics finds in the first sample that has most."""
+    """The pose that the markers' inverse kinematics finds as the first video begins.
+
+    Of the samples within ``SOON_S`` then the first that has most markers; of all, if these have
+    none.
+    """
     count = np.isfinite(recording.positions_world).all(-1).sum(1)
-    first = recording.positions_world[int(np.argmax(count))]
+    since = recording.times - min((_begins(source) for source in recording.videos), default=0.0)
+    soon = np.where((since >= -usual_step(recording.times)) & (since <= SOON_S), count, 0)
+    first = recording.positions_world[int(np.argmax(soon if soon.any() else count))]
     skeleton = recording.skeleton
     tracker = HybridTracker(skeleton, None, Hybrid(), marker_sites(skeleton, recording.places))
     points = landmark_points(tracker.model.skeleton, tracker.init(first).pose)

@@ -15,6 +15,7 @@ from jaxmocap.calibration.vertical_lines import USUAL_TILT, CameraTilt, tilt_by_
 from jaxmocap.capture.keypoints import follow_person, open_keypoints
 from jaxmocap.capture.video import FrameSource, Video, open_video
 from jaxmocap.formats.cameras.calibration import write_calibration
+from jaxmocap.formats.cameras.video_sources import VideoSource
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.recordings.recording import Recording, write_recording
@@ -32,6 +33,12 @@ FILM_MM = 36.0
 ROOM_FRAMES = 15
 # Until the person shows where the camera is.
 SOMEWHERE = StandingCamera(1.3, 0.0, 0.0, np.zeros(3))
+
+
+def unmade_recording() -> Recording:
+    """What stands for the recording until it is made: no markers, and a video of its camera."""
+    video = VideoSource(CAMERA, camera_of_fov((640, 480), USUAL_FOV_DEG))
+    return Recording(Skeleton.human(1.75), np.zeros(0), np.zeros((0, 0, 3)), (), (video,))
 
 
 def recording_of_video(
@@ -66,7 +73,9 @@ def recording_of_video(
     def write(place: StandingCamera, keypoints: bool) -> None:
         with out.writing() as stage:
             write_calibration(stage / CALIBRATION, {CAMERA: place.stand_camera(lens)})
-            entry = {"file": os.path.relpath(video, out.path), "camera": CAMERA}
+            # Through no symbolic link: ``..`` leads elsewhere from behind one.
+            there, here = (os.path.realpath(path) for path in (video, out.path))
+            entry = {"file": os.path.relpath(there, here), "camera": CAMERA}
             entry |= {"keypoints": f"{KEYPOINTS}/{CAMERA}.json"} if keypoints else {}
             write_recording(stage / RECORDING, None, {}, [entry], CALIBRATION, {"height": height})
 

@@ -18,11 +18,12 @@ from jaxmocap.capture.checks.lengths import check_stretched_arms
 from jaxmocap.capture.filters import Cleaning, filter_markers
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.keypoints import open_keypoints
-from jaxmocap.capture.markers import interpolate_markers, median_interval
+from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import Mode, Timeline, build_timeline
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.tables import usual_step
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.outputs.report import SIDES
 from jaxmocap.solvers.status import SENTENCES, Status
@@ -156,4 +157,4 @@ def without_video(times: np.ndarray, video_times: np.ndarray, causal: bool = Fal
     away = times - padded[after]
     if not causal:
         away = np.minimum(away, padded[after + 1] - times)
-    return away > NEAR_INTERVALS * median_interval(video_times)
+    return away > NEAR_INTERVALS * usual_step(video_times)

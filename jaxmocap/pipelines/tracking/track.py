@@ -125,9 +125,15 @@ def track_both(
     smooth = tracker.settings.smooth and (bool(used) or not marked)
     if problem := unused_setting(tracker.settings, smooth or marked, causal):
         raise ValueError(problem)
+    if used and mode != "nearest" and not (marked or smooth or tracker.settings.search):
+        problem = "found search = false (--paper), which takes no frame between two samples"
+        raise recording.error(f"{problem}: expected the nearest frame (--nearest)")
     if why and (causal or not smooth):
         problem = "found --why, which is of poses that are smoothed over the whole recording"
-        raise recording.error(f"{problem}: expected smoothing and neither --causal nor --paper")
+        expected = "smoothing and neither --causal nor --paper"
+        if marked and not used:
+            expected = "a video, or fewer markers: these determine the body in each sample"
+        raise recording.error(f"{problem}: expected {expected}")
     if cutoff := float(tracker.settings.low_pass):
         check_cutoff(opened.recording, cutoff, "low_pass")
     smoother = None
