@@ -40,6 +40,8 @@ BEFORE_S = 0.35
 TURNED_RAD = 0.5
 # So many events a second are enough for it.
 EVENTS_HZ = 30.0
+# Longer steps are pauses, seconds.
+LONGEST_STEP_S = 0.1
 
 # As one program: step by step each step would compile for every number of events.
 _matrices = Program(jax.vmap(quaternion_to_matrix), "matrices")
@@ -91,16 +93,19 @@ def facing_in_time(
 
 
 def _stride(times: np.ndarray) -> int:
-    step = np.median(np.diff(times)) if len(times) > 1 else 1.0
-    return max(1, int(1 / (EVENTS_HZ * step) + 1e-3))
+    return max(1, int(1 / (EVENTS_HZ * _mean_step(times)) + 1e-3))
+
+
+def _mean_step(times: np.ndarray) -> float:
+    """Seconds from event to event, whose steps alternate where samples and frames do."""
+    return float(np.minimum(np.diff(times), LONGEST_STEP_S).mean()) if len(times) > 1 else 1.0
 
 
 def average_over_time(
     values: np.ndarray, times: np.ndarray, around_s: float = AROUND_S
 ) -> np.ndarray:
     """Values (T, N) over the time around: a Gaussian of so many seconds, of even samples."""
-    step = np.median(np.diff(times)) if len(times) > 1 else 1.0
-    return gaussian_filter1d(values, around_s / step, axis=0, mode="nearest")
+    return gaussian_filter1d(values, around_s / _mean_step(times), axis=0, mode="nearest")
 
 
 class RunningFacing:

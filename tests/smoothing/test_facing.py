@@ -8,7 +8,7 @@ from painted_motion import MODEL, PERSON, SETTINGS, measurements, places_of, tru
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.smoothing.facing import facing_in_time, references
+from jaxmocap.smoothing.facing import average_over_time, facing_in_time, references
 
 COUNT, LATE_S = 72, 0.5
 TIMES = np.arange(COUNT) / 30
@@ -62,3 +62,14 @@ def test_events_between_frames_face_between_them(late):
     ahead = facing_in_time(MODEL, SETTINGS, times, measured, poses)
     assert ahead.shape == (3 * COUNT, 3)
     assert np.abs(np.diff(np.arctan2(ahead[:, 1], ahead[:, 0]))).max() < np.radians(5)
+
+
+@pytest.mark.parametrize("offset", [0.002, 0.016, 0.031])
+def test_averages_are_over_seconds_wherever_frames_lie_between_samples(offset):
+    samples = np.arange(300) / 30
+    times = np.sort(np.concatenate([samples, samples + offset]))
+    values = np.sin(times)[:, None]
+    averaged = average_over_time(values, times, 0.5)
+    # A Gaussian takes exp(-(deviation w)^2 / 2) off a wave.
+    inner = (times > 2) & (times < 8)
+    np.testing.assert_allclose(averaged[inner], np.exp(-0.125) * values[inner], atol=0.01)

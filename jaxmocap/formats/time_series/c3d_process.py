@@ -56,7 +56,8 @@ def read_to_stdout(path: str, most: int) -> int:
         labels = stored_labels(group, points.shape[1])
         names = {str(n).strip() for kind in OTHERS if kind in group for n in group[kind]["value"]}
         is_point = np.array([label not in names for label in labels], bool)
-        points = points[:, is_point]
+        # A selection takes its memory once more.
+        points = points if is_point.all() else points[:, is_point]
         header = file["header"]["points"]
         first, last = (int(header[key]) + 1 for key in ("first_frame", "last_frame"))
         first = frame_number(parameters, "ACTUAL_START_FIELD", first)
