@@ -299,7 +299,8 @@ def sync_text(offsets: Sequence[VideoOffset]) -> str:
             continue
         lines.append(
             f"{each.camera}: offset = {each.offset:.4f}  (± {each.std:.4f} s, correlation "
-            f"{each.correlation:.2f}; the recording states {each.stated_offset:g})"
+            f"{each.correlation:.2f}; {each.offset - each.stated_offset:+.4f} s to the stated "
+            f"{each.stated_offset:g})"
         )
         if np.isfinite(each.drift):
             lines.append(

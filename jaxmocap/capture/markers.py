@@ -4,7 +4,7 @@ INPUTS: sample times (T,) in seconds, positions (T, M, 3) with NaN where missing
 OUTPUTS: positions (K, M, 3) at those times; NaN where they are missing.
 """
 
-from collections import deque
+from bisect import bisect_right
 
 import numpy as np
 
@@ -51,8 +51,9 @@ def interpolate_markers(
     return np.where(exact[:, None, None], positions[newest], line)
 
 
-# So many samples of each marker are remembered.
-KEPT_SAMPLES = 12
+# Samples of each marker are remembered for so many seconds, and so many at least, of which so many
+# about a time tell the marker's rate there.
+KEPT_S, KEPT_SAMPLES = 1.0, 12
 # Who is late by less of an interval still comes; until then it is where one interval led.
 LATE_INTERVALS = 1.6
 
@@ -62,22 +63,28 @@ class RecentMarkers:
 
     def __init__(self, markers: int):
         """Of so many markers, without a sample yet."""
-        self._times = [deque[float](maxlen=KEPT_SAMPLES) for _ in range(markers)]
-        self._points = [deque[np.ndarray](maxlen=KEPT_SAMPLES) for _ in range(markers)]
+        self._times: list[list[float]] = [[] for _ in range(markers)]
+        self._points: list[list[np.ndarray]] = [[] for _ in range(markers)]
 
     def add(self, time: float, positions_world: np.ndarray) -> None:
         """A sample (M, 3), later than the last; NaN where missing."""
         for marker, point in enumerate(positions_world):
             if np.isfinite(point).all():
-                self._times[marker].append(time)
-                self._points[marker].append(point)
+                times, points = self._times[marker], self._points[marker]
+                times.append(time)
+                points.append(point)
+                if len(times) > KEPT_SAMPLES and times[0] < time - KEPT_S:
+                    del times[0], points[0]
 
     def at(self, time: float) -> np.ndarray:
         """(M, 3) metres: between samples on a line, which is followed for one interval."""
         positions = np.full((len(self._times), 3), np.nan)
         for marker, (times, points) in enumerate(zip(self._times, self._points, strict=True)):
             if times:
-                samples = np.array(times), np.array(points)[:, None]
+                newest = bisect_right(times, time)
+                first = max(0, min(newest - KEPT_SAMPLES // 2, len(times) - KEPT_SAMPLES))
+                about = slice(first, first + KEPT_SAMPLES)
+                samples = np.array(times[about]), np.array(points[about])[:, None]
                 ahead = time - times[-1]
                 if 0 < ahead <= LATE_INTERVALS * (interval := usual_step(samples[0])):
                     time_there = times[-1] + min(ahead, (1 - 1e-6) * interval)

@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,10 @@ def test_standing_still_tells_how_the_devices_are_held():
         place = read_place(Path("a.toml"), held.place.name, entry)
         np.testing.assert_allclose(place.offset, held.offset, atol=1e-4)
         assert place.offset_in == "marker" and place.orientation is not None
+        # Whatever a device is called.
+        for name in ("Left Hand", "VIVE.L", "Führ"):
+            renamed = replace(held, place=replace(held.place, name=name))
+            assert set(tomllib.loads(toml_line(renamed))) == {name}
     with pytest.raises(ValueError, match="a marker on hand_l and one on hand_r"):
         estimate_offsets(markers, [PLACES[0]] * 3, (18.1, 19.9))
 

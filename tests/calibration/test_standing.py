@@ -6,6 +6,8 @@ from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from threading import Event, Thread
+from time import monotonic
+from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np
@@ -96,6 +98,18 @@ def test_height_arms_and_how_devices_are_held_are_found(stance, height, arms, ya
     assert set(result.offsets) == {"Hmd", "Waist"}  # grips' offsets stay
 
 
+def test_offsets_in_the_devices_own_axes_change_no_length():
+    positions, R, _ = devices_of(person(1.62, 1.04), "t", 0.3, 1.62, np.random.default_rng(0))
+    expected = calibrate_standing(PLACES, positions, R, "t", person(1.75))
+    places, grip = list(PLACES), np.array([0.05, -0.1, 0.02])
+    for i in (1, 2):
+        places[i] = replace(PLACES[i], offset=tuple(grip.tolist()), offset_in="marker")
+        positions[i] += R[i] @ grip
+    result = calibrate_standing(places, positions, R, "t", person(1.75))
+    assert result.lengths == pytest.approx(expected.lengths, abs=1e-6) and not result.warnings
+    np.testing.assert_allclose(result.offsets["Waist"], expected.offsets["Waist"], atol=1e-6)
+
+
 def test_a_stated_body_keeps_its_lengths():
     devices = devices_of(person(1.6), "t", 0.3, 1.6, np.random.default_rng(0))
     result = calibrate_standing(PLACES, *devices[:2], "t", person(1.6), scaled=False)
@@ -152,7 +166,9 @@ class Source:
     """Devices that stand still, or one that moves."""
 
     address = "127.0.0.1:1"
-    last_arrival = None
+    problem = last_arrival = None
+    ignored, hints, last_look = {}, {}, 0.0
+    senders = SimpleNamespace(clock_rate=None, clock_jumps=0, refused_hosts=set())
 
     def __init__(self, assembler, now, devices, moves=0.0):
         self._send, self._now, self._devices = assembler._on_sample, now, devices
@@ -237,6 +253,24 @@ def test_who_moves_is_not_calibrated_and_the_file_stays(tmp_path, monkeypatch):
     with pytest.raises(OutputError, match=r"not calibrated: Hmd moved by .* cm within"):
         calibrated(tmp_path, monkeypatch, FILE, devices, moves=0.1)
     assert (tmp_path / "live.toml").read_text() == FILE
+
+
+def test_why_no_device_comes_in_is_said(tmp_path, monkeypatch):
+    class Refused(Source):
+        problem = "expected channels of numbers, found text"
+
+    devices = devices_of(person(1.62), "t", 1.0, 1.62, np.random.default_rng(3))
+    monkeypatch.setattr(
+        OscTable, "open", lambda table, assembler, now: Refused(assembler, now, devices)
+    )
+    monkeypatch.setattr(Source, "_play", lambda self: None)
+    (tmp_path / "live.toml").write_text(FILE)
+    begun = monotonic()
+    with pytest.raises(OutputError, match=r"no marker came in at .* expected channels of numbers"):
+        calibrating.calibrate_live(
+            load_live(tmp_path / "live.toml"), "i", LiveStatus(StringIO()), Event()
+        )
+    assert monotonic() - begun < 10.0
 
 
 def test_without_devices_it_ends_with_a_sentence(tmp_path, monkeypatch):

@@ -21,7 +21,12 @@ from jaxmocap.capture.streams.osc import (
     MarkerMessage,
     parse_packet,
 )
-from jaxmocap.capture.streams.sample_assembly import SENT_WITHIN_S, MarkerSample, SampleAssembler
+from jaxmocap.capture.streams.sample_assembly import (
+    OVERTAKEN_S,
+    SENT_WITHIN_S,
+    MarkerSample,
+    SampleAssembler,
+)
 from jaxmocap.capture.streams.senders import SENDER_BURST
 from jaxmocap.capture.streams.stream_clock import JUMP_S, StreamClock
 from jaxmocap.capture.streams.udp import MAX_BURST, Datagram, MarkerSocket, OscTable
@@ -301,7 +306,26 @@ def test_samples_ascend_in_time_whatever_the_stamps_say(stamps):
     gathers, out = gathering()
     for stamp in stamps:
         gathers.add([MarkerMessage(("Hmd",), (0.0, 0.0, 0.0))], stamp, 1.0, True)
-    assert (np.diff([sample.time for sample in out]) > 0).all() and len(out) == len(stamps)
+    assert (np.diff([sample.time for sample in out]) > 0).all()
+    kept = [stamp for i, stamp in enumerate(stamps) if not _is_overtaken(stamp, stamps[:i])]
+    assert len(out) == len(kept)
+
+
+def _is_overtaken(stamp: float, before: list[float]) -> bool:
+    """Whether it is a little older than the last one that counted."""
+    last = -np.inf
+    for each in before:
+        last = last if last - OVERTAKEN_S < each < last else each
+    return last - OVERTAKEN_S < stamp < last
+
+
+def test_who_was_overtaken_is_no_sample_and_a_clock_that_was_set_is_followed():
+    gathers, out = gathering()
+    times = [0.0, 0.011, 0.033, 0.022, 0.044, -5.0, -4.99]
+    for i, time in enumerate(times):
+        gathers.add([MarkerMessage(("Hmd",), (time, 0.0, 0.0))], time, 1.0 + 0.01 * i, True)
+    found = [float(np.abs(each.positions_world[0]).sum()) for each in out]
+    np.testing.assert_allclose(found, np.abs([*times[:3], *times[4:]]))
 
 
 def test_between_samples_markers_are_known_and_a_little_beyond_each_at_its_own_rate():

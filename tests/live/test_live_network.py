@@ -170,6 +170,13 @@ def test_a_host_that_is_not_there_is_refused_before_the_run_begins():
         assert "no such address" in complaint(opens, Address("no.such.host.invalid", 5000))
 
 
+def test_poses_may_go_to_everybody_in_a_network():
+    sender = DatagramSender(Address("127.255.255.255", 39599))
+    sender.send([b"pose"])
+    sender.close()
+    assert (sender.sent, sender.failed) == (1, 0)
+
+
 # Shares ------------------------------------------------------------------------------------------
 
 

@@ -9,7 +9,9 @@ import time
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from conftest import wait_for
@@ -23,7 +25,11 @@ from jaxmocap.capture.streams import cameras
 from jaxmocap.capture.streams.cameras import LiveCamera, LiveVideo
 from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.capture.streams.lsl import LslTable
-from jaxmocap.capture.streams.sample_assembly import MarkerMeasurements, MarkerSample
+from jaxmocap.capture.streams.sample_assembly import (
+    MarkerMeasurements,
+    MarkerSample,
+    SampleAssembler,
+)
 from jaxmocap.capture.streams.udp import DEFAULT_LISTEN, OscTable
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.files.addresses import Address
@@ -38,7 +44,7 @@ from jaxmocap.pipelines.live.loop import Live
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.session import live_summary, stop_on_signals
 from jaxmocap.pipelines.live.setup import LiveSetup, load_live
-from jaxmocap.pipelines.live.status import LiveStatus
+from jaxmocap.pipelines.live.status import LiveStatus, stream_states
 from jaxmocap.pipelines.live.tracking import Output
 
 FILE = """
@@ -249,6 +255,44 @@ def test_a_device_that_is_not_there_is_reported_and_one_that_leaves_is_asked_for
     wait_for(lambda: len(frames) >= 6)
     camera.stop()
     assert len(opened) >= 3
+
+
+def test_a_driver_that_fails_is_asked_again_and_who_is_quiet_is_said_to_be(tmp_path, monkeypatch):
+    """Grey images of a device, and OpenCV's own error in between."""
+    opened: list[int] = []
+
+    class Capture:
+        def __init__(self, device):
+            opened.append(device)
+            self.left = 3
+
+        def read(self):
+            self.left -= 1
+            if self.left < 0:
+                raise cv2.error("driver")
+            return True, np.zeros((72, 96), np.uint8)
+
+        isOpened = release = set = lambda self, *_: True  # noqa: N815
+
+    monkeypatch.setattr(cv2, "VideoCapture", Capture)
+    monkeypatch.setattr(cameras, "RETRY_S", 0.01)
+    video, frames = replace(small_setup(tmp_path).videos[0], source=0), []
+    camera = LiveCamera(video, 0, frames.append, colour=True)
+    camera.start()
+    wait_for(lambda: len(frames) >= 6)
+    camera.stop()
+    assert len(opened) >= 2 and frames[0].image.shape == (72, 96, 3)
+    assert camera.reason in (None, "its driver has failed")
+    camera.status = "on"
+    markers = SimpleNamespace(
+        problem=None, last_arrival=None, ignored={}, hints={}, who_may_send="",
+        senders=SimpleNamespace(clock_rate=None, clock_jumps=0, refused_hosts=set()),
+    )  # fmt: skip
+    assembler = SampleAssembler(("a",), {}, np.eye(3), lambda _: None)
+    for later, expected in ((0.5, "on"), (10.0, "nothing comes in")):
+        now = camera.last_arrival + later
+        states = dict(stream_states(markers, assembler, [camera], now))
+        assert states[camera.name].startswith(expected)
 
 
 def test_images_of_another_size_than_calibrated_are_not_used(tmp_path, monkeypatch):

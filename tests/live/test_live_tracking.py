@@ -90,10 +90,12 @@ class Smoother:
 def tracking(monkeypatch):
     """Makes a LiveTracking on stand-ins."""
 
-    def make(smooth: bool = False, cameras: int = 1, one_euro=None) -> LiveTracking:
+    def make(
+        smooth: bool = False, cameras: int = 1, one_euro=None, offset: float = 0.0
+    ) -> LiveTracking:
         monkeypatch.setattr(LiveTracking, "_warm_up", lambda self: None)
         monkeypatch.setattr(live_tracking, "FixedLagSmoother", Smoother)
-        video = LiveVideo("cam", SimpleNamespace(), 0)  # type: ignore[arg-type]
+        video = LiveVideo("cam", SimpleNamespace(), 0, offset=offset)  # type: ignore[arg-type]
         places = tuple(MarkerPlace(name, "head") for name in "abc")
         cams = (video,) * cameras
         setup = LiveSetup(Path("live.toml"), SKELETON, places, np.eye(3), cams, one_euro=one_euro)
@@ -266,3 +268,45 @@ def test_markers_go_through_the_one_euro_filter_where_that_is_asked_for(tracking
             live.sample(MarkerSample(i / 90, points, i / 90))
         spreads.append(np.std([markers for _, markers, _ in live.tracker.steps[45:]]))
     assert spreads[0] == pytest.approx(0.002, rel=0.1) and spreads[1] < 0.6 * spreads[0]
+
+
+@pytest.mark.parametrize("delays", [(0.04,), (0.12,), (0.2,), (0.04, 0.08), (0.03, 0.09)])
+def test_no_frame_is_too_late_whatever_each_cameras_delay_is(tracking, delays):
+    live = tracking(True, len(delays), offset=-max(delays))
+    events: list = [(i / 90, sample(i / 90)) for i in range(180)]
+    for camera, delay in enumerate(delays):
+        taken = 0.003 + 0.008 * camera + np.arange(60) / 30
+        events += [(time + delay, frame(float(time), delay, camera)) for time in taken]
+    for _, event in sorted(events, key=lambda each: each[0]):
+        if isinstance(event, MarkerSample):
+            live.sample(event)
+        else:
+            live.frames([event])
+    live.flush()
+    # But the first of a camera that begins after another.
+    assert live.late_events <= 2 * (len(delays) - 1)
+    assert (np.diff(live._smoother.times) > 0).all()
+    for camera in range(len(delays)):
+        shown = [images is not None and images[camera] is not None for images in
+                 live._smoother.images]  # fmt: skip
+        assert sum(shown) >= 60 - 5 * max(delays) * 30
+
+
+def test_elbows_are_not_stated_by_frames_that_were_too_late(tracking):
+    live = tracking(True)
+    outputs = []
+    for i in range(90):
+        outputs += live.sample(sample(i / 90))
+        if i % 3 == 2:
+            outputs += live.frames([frame(i / 90 - 0.3, 0.3)])
+    assert live.late_events > 20 and np.isnan(outputs[-1].deviations).all()
+
+
+@pytest.mark.parametrize(("rate", "delay"), [(90, 0.12), (120, 0.12), (250, 0.06), (1000, 0.03)])
+def test_markers_are_known_when_a_late_frame_was_taken(tracking, rate, delay):
+    live = tracking()
+    for i in range(rate):
+        live.sample(sample(i / rate))
+    taken = 1 - delay
+    live.frames([frame(taken, delay)])
+    np.testing.assert_allclose(live.tracker.steps[-1][1][:, 0], taken, atol=1e-6)

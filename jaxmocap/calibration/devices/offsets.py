@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.orientations import quaternions
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.toml import toml_key
 from jaxmocap.formats.recordings.marker_places import MarkerPlace
 from jaxmocap.formats.recordings.recording import load_markers
 from jaxmocap.formats.time_series.tables import Markers
@@ -254,8 +255,10 @@ def toml_line(offset: DeviceOffset) -> str:
     entry = f'bone = "{offset.place.bone}", at = 0.0, offset = [{x:.4f}, {y:.4f}, {z:.4f}]'
     if offset.orientation is not None:
         quaternion = ", ".join(f"{part:.4f}" for part in quaternions(offset.orientation))
-        return f'{offset.place.name} = {{ {entry}, offset_in = "marker", turn = [{quaternion}] }}'
-    return f'{offset.place.name} = {{ {entry}, offset_in = "marker" }}'
+        entry += f', offset_in = "marker", turn = [{quaternion}]'
+    else:
+        entry += ', offset_in = "marker"'
+    return f"{toml_key(offset.place.name)} = {{ {entry} }}"
 
 
 def offsets_figures(offsets: Sequence[DeviceOffset]) -> dict:

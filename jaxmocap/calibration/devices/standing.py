@@ -76,7 +76,7 @@ class _Stand:
         return self.joints[i] + self.R_body_bone[i] @ (place.at * along)
 
     def site(self, place: MarkerPlace) -> np.ndarray:
-        """Where a marker is, its offset in its bone's axes."""
+        """Where a marker is."""
         i = self.skeleton.tree.bone(place.bone)
         return self.point(place) + self.R_body_bone[i] @ np.array(place.offset)
 
@@ -104,8 +104,9 @@ def calibrate_standing(
             at no height that a person's is.
     """
     warnings: list[str] = []
-    R_world_body = _facing(places, positions_world, R_world_marker, warnings)
     height = _stature(places, positions_world) if scaled else None
+    places, positions_world = _on_bones(places, positions_world, R_world_marker)
+    R_world_body = _facing(places, positions_world, R_world_marker, warnings)
     if height is not None:
         # The stature's bones; the joints stay.
         usual, bones = Skeleton.human(height), ("lengths", "directions", "masses", "diameters")
@@ -141,6 +142,18 @@ def stand(skeleton: Skeleton, stance: Stance) -> _Stand:
     foot = tree.bone("foot_l")
     joints[:, 2] += float(skeleton.diameters[foot, 0]) - joints[foot, 2]
     return _Stand(skeleton, joints, R)
+
+
+def _on_bones(
+    places: Sequence[MarkerPlace], positions_world: np.ndarray, R_world_marker: np.ndarray
+) -> tuple[list[MarkerPlace], np.ndarray]:
+    """Places and positions of the bones' points, of markers whose offset is in their own axes."""
+    points, moved = np.array(positions_world, float), list(places)
+    for i, (place, R) in enumerate(zip(places, R_world_marker, strict=True)):
+        if place.offset_in == "marker":
+            points[i] -= np.nan_to_num(R @ np.array(place.offset))
+            moved[i] = replace(place, offset=(0.0, 0.0, 0.0))
+    return moved, points
 
 
 def _facing(

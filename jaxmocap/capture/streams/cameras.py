@@ -226,7 +226,12 @@ def _grab_frame(capture: Any, colour: bool) -> Images:
             there, image = capture.read()
             if not there:
                 return
-            yield image if colour else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+            if image.ndim == 2:
+                yield cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if colour else image
+            else:
+                yield image if colour else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    except cv2.error:
+        raise InputError("camera", "its driver has failed") from None
     finally:
         capture.release()
 

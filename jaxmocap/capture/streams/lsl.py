@@ -11,7 +11,6 @@ pylsl is loaded when a stream is asked for; it is the extra ``lsl``.
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from itertools import chain
 from time import monotonic
 from typing import Any
 
@@ -118,9 +117,15 @@ class MarkerStream(MarkerSource):
             name = label.removesuffix(".x")
             if labels[i : i + 3] == [f"{name}.{axis}" for axis in "xyz"]:
                 scales = tuple(METRES_PER_UNIT.get(unit, math.nan) for unit in units[i : i + 3])
+                if any(map(math.isnan, scales)):
+                    # Something else may have any unit.
+                    if self._assembler.has_marker(name):
+                        found = " ".join(map(short_repr, units[i : i + 3]))
+                        self.problem = f"{name}: found the units {found}, expected m or mm"
+                    continue
                 has_orientation = labels[i + 3 : i + 7] == [f"{name}.q{part}" for part in "xyzw"]
                 channels_of[name] = i, scales, has_orientation
-        if not channels_of or any(map(math.isnan, chain(*(s for _, s, _ in channels_of.values())))):
+        if not channels_of and self.problem is None:
             found_labels = comma_list(labels[:6]) or "none"
             expected = "expected channels Name.x, Name.y, Name.z in m or mm"
             self.problem = f"{expected}, found {found_labels}"

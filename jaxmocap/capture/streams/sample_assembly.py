@@ -16,6 +16,8 @@ from jaxmocap.capture.streams.osc import MarkerMessage
 SENT_WITHIN_S = 0.25
 # Of one moment are markers that come within so many seconds.
 TOGETHER_S = 0.005
+# A message that is older than its marker's last by less was overtaken; by more, a clock was set.
+OVERTAKEN_S = 0.1
 # Where orientations come in messages of their own, the last one counts for so many seconds.
 ORIENTATION_VALID_S = 0.05
 
@@ -70,6 +72,7 @@ class SampleAssembler:
         self._names, self._R_world_source = tuple(markers), R_world_source
         self._on_sample, self._bind = on_sample, bind
         self._last_arrivals = np.full(len(markers), -np.inf)
+        self._last_sent = np.full(len(markers), -np.inf)
         self._messages: dict[int, MarkerMessage] = {}
         self._orientations: dict[int, tuple[float, MarkerMessage]] = {}
         self._time, self._arrived, self._last_time = 0.0, 0.0, -np.inf
@@ -98,6 +101,10 @@ class SampleAssembler:
                 self._orientations[marker] = arrived, each
             if each.position is None:
                 continue
+            # Networks change the order of packets: where it was before, it is no more.
+            if self._last_sent[marker] - OVERTAKEN_S < time < self._last_sent[marker]:
+                continue
+            self._last_sent[marker] = time
             if marker in self._messages:
                 self._flush()
             if not self._messages:
@@ -107,6 +114,10 @@ class SampleAssembler:
         alive = np.flatnonzero(arrived - self._last_arrivals < SENT_WITHIN_S)
         if self._messages and (is_complete or len(self._messages) >= len(alive)):
             self._flush()
+
+    def has_marker(self, name: str) -> bool:
+        """Whether a sender's name is a marker's."""
+        return name in self._index
 
     def oriented_markers(self) -> set[str]:
         """Markers that have come with an orientation."""

@@ -105,6 +105,8 @@ class DatagramSender:
         family, self._address = resolve_address(address)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+        # An address may be that of everybody in a network.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         self.sent = self.failed = 0
 
     def send(self, datagrams: Sequence[bytes]) -> None:

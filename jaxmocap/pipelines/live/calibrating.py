@@ -25,7 +25,7 @@ from jaxmocap.formats.cameras.toml_sections import replace_entries, rewrite_toml
 from jaxmocap.formats.files.errors import InputError, OutputError, comma_list
 from jaxmocap.formats.files.toml import toml_value
 from jaxmocap.pipelines.live.setup import LiveSetup
-from jaxmocap.pipelines.live.status import LiveStatus
+from jaxmocap.pipelines.live.status import LiveStatus, stream_states
 
 # What the person is asked to do.
 INSTRUCTIONS: dict[Stance, str] = {
@@ -124,7 +124,7 @@ class _Listening:
         """Wait until every device has come, or the first ones have for some seconds."""
         until = self.now() + PATIENCE_S
         missing, next_line = set(self._setup.marker_names), 1.0
-        while missing and self.now() < until:
+        while missing and self.now() < until and self._source.problem is None:
             if self.now() >= next_line:
                 next_line += WAITING_LINE_S
                 self._status.log(
@@ -149,9 +149,10 @@ class _Listening:
         return True
 
     def _others(self) -> str:
-        """Which names came that are no markers of [markers.on]."""
-        names = self._assembler.unknown_names
-        return f"; no markers of ours: {comma_list(sorted(names.copy()))}" if names else ""
+        """Why a marker may not come in, as ``live`` shows it."""
+        states = stream_states(self._source, self._assembler, (), self.now())
+        about = [f"; {of}: {state}" for of, state in states if of not in ("markers", "missing")]
+        return "".join([f"; {self._source.problem}"] if self._source.problem else about)
 
     def stand_still(self) -> tuple[np.ndarray, np.ndarray] | None:
         """The samples of the first seconds in which all devices stood still."""

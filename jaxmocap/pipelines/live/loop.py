@@ -294,6 +294,8 @@ class Live:
             reason += "".join(hint for why, hint in self._source.hints.items()
                               if self._source.ignored[why])  # fmt: skip
             yield f"no marker came in at {self.address}{reason}"
+        if any(to.failed and not to.sent for _, to in self._senders):
+            yield "no pose could be sent: the system refuses each datagram to one of the addresses"
         if self.recording is not None and self.recording.problem:
             yield self.recording.problem
 

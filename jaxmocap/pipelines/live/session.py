@@ -165,7 +165,8 @@ def live_summary(figures: Mapping[str, Any]) -> str:
     ignored = ", ".join(f"{count} {why}" for why, count in figures["ignored"].items())
     rows = {
         "ran": f"{figures['seconds']:.1f} s",
-        "poses": f"{figures['outputs']}, {figures['rate_hz']:.1f} a second",
+        "poses": f"{figures['outputs']}, {figures['rate_hz']:.1f} a second"
+        + (f"; {figures['not_sent']} datagrams not sent" if figures["not_sent"] else ""),
         "latency": f"{latency['median']:.1f} ms (median), {latency['p99']:.1f} ms (99 %)"
         if np.isfinite(latency["median"])
         else "",

@@ -41,6 +41,8 @@ TERMINAL_INTERVAL_S = 0.25
 LOG_INTERVAL_S = 5.0
 # A stream that received nothing for so many seconds is silent; no pose is sent then.
 SILENT_S = 0.3
+# A camera without a frame for so many seconds is quiet.
+QUIET_S = 2.0
 
 
 class LiveStatus:
@@ -213,7 +215,9 @@ def stream_states(
         yield "no markers of ours", comma_list(sorted(gathering.unknown_names.copy()))
     for camera in cameras:
         reason = f" ({camera.reason})" if camera.reason else ""
-        yield short_name(camera.name), camera.problem or f"{camera.status}{reason}"
+        is_quiet = camera.last_arrival is not None and now - camera.last_arrival > QUIET_S
+        status = "nothing comes in" if is_quiet and camera.status == "on" else camera.status
+        yield short_name(camera.name), camera.problem or f"{status}{reason}"
 
 
 def _orientation_states(

@@ -36,7 +36,8 @@ from jaxmocap.hybrid.tracker import HybridTracker, State
 from jaxmocap.pipelines.live.setup import LiveSetup
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
 
-# With smoothing a sample waits so many seconds for frames that are older than it.
+# With smoothing a sample waits so many seconds for frames that are older than it, and for as long
+# as the cameras' delay is stated to be.
 REORDERING_S = 0.1
 # Without a frame of any camera for so many seconds, poses are the markers' alone.
 UNSEEN_S = 0.3
@@ -82,6 +83,9 @@ class LiveTracking:
         cameras = [v.camera for v in setup.videos] if settings.refine != "none" else []
         sites = marker_sites(setup.skeleton, bone_points(setup.skeleton, setup.places))
         self._cameras, self._smooth = len(cameras), smooth
+        # A frame may come so much later than it was taken.
+        offsets = [video.offset for video in setup.videos]
+        self._longest_wait = REORDERING_S + max(0.0, -min(offsets, default=0.0))
         if problem := unused_setting(settings, smooth, causal=True):
             raise ValueError(problem)
         if tracker is None:
@@ -125,8 +129,10 @@ class LiveTracking:
         self.placements = self.late_events = 0
         self._state: State | None = None
         self._samples_waited, self._last = 0, -np.inf
-        # When the newest frame was taken, and when it came.
+        # When the newest frame that was used was taken, and when the newest one came.
         self._last_frame = self._last_frame_arrived = -np.inf
+        # Camera -> when its newest frame was taken, and when it came.
+        self._newest_frames: dict[int, tuple[float, float]] = {}
         points = len(self.tracker.model.markers.bones)
         self._recent_markers = RecentMarkers(points)
         self._filtered = None if self._filter is None else initial_state(points)
@@ -194,11 +200,12 @@ class LiveTracking:
         if self._state is None or self.tracker.model.cameras is None or not self.is_ready:
             return []
         for frame in frames:
-            self._last_frame = max(self._last_frame, frame.time)
             self._last_frame_arrived = max(self._last_frame_arrived, frame.arrived)
+            self._newest_frames[frame.camera] = frame.time, frame.arrived
         if self._smoother is not None:
             return self._in_order(frames)
         for frame in frames:
+            self._last_frame = max(self._last_frame, frame.time)
             self._step(frame.time, self._recent_markers.at(frame.time), self._images(frame))
         return []
 
@@ -243,10 +250,12 @@ class LiveTracking:
         # Cameras have as long to begin.
         if not np.isfinite(self._last_frame_arrived):
             self._last_frame_arrived = newest
-        frame_times = [event.time for event in self._pending if isinstance(event, LiveFrame)]
         is_seen = self._cameras and newest - self._last_frame_arrived < UNSEEN_S
-        waited = REORDERING_S if is_seen else 0.0
-        return self._release(max([newest - waited, *frame_times]))
+        # No camera's next frame is older than its last one.
+        each = self._newest_frames.values()
+        seen = [taken for taken, arrived in each if newest - arrived < UNSEEN_S]
+        until = newest - (self._longest_wait if is_seen else 0.0)
+        return self._release(max(until, min(seen, default=until)))
 
     def _release(self, until: float) -> list[Output]:
         outputs = []
@@ -261,6 +270,8 @@ class LiveTracking:
             self.late_events += 1
             return []
         self._last = event.time
+        if isinstance(event, LiveFrame):
+            self._last_frame = event.time
         if isinstance(event, MarkerSample):
             images, arrived = None, event.arrived
             filled, measured = self._with_gaps_filled(event), event.positions_world
