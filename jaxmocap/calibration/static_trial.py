@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import JOINT_CENTRES, LANDMARKS, Skeleton
 from jaxmocap.body.subject import NECK_HEAD, TRUNK, skeleton_stature
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import TomlTable
@@ -25,6 +25,8 @@ from jaxmocap.formats.recordings.subject import (
 from jaxmocap.formats.time_series.markers import read_markers
 
 BY_HEIGHT = "by height"
+# Lengths that differ by less are one, metres: files round them.
+SAME_LENGTH_M = 1e-5
 # Bones -> landmarks between which they are measured, "hips" being the middle of the hips.
 _BONE_ENDS = dict.fromkeys(TRUNK, ("hips", "neck")) | dict.fromkeys(NECK_HEAD, ("neck", "vertex"))
 _LIMB_ENDS = {
@@ -63,7 +65,11 @@ class ScaledBody:
             if bone in self.measured_bones:
                 spread, frames = self.measured_bones[bone]
                 basis = f"measured, ± {1e3 * spread:.1f} mm over {frames} frames"
-                basis += ", split as in Table 1" if bone in (*TRUNK, *NECK_HEAD) else ""
+                basis += (
+                    ", in the proportions of the first paper"
+                    if bone in (*TRUNK, *NECK_HEAD)
+                    else ""
+                )
             lines.append(f"{bone.ljust(11)} {float(length):.4f} m  {basis}")
         return "\n".join([*lines, f"written  {self.path}"])
 
@@ -132,7 +138,7 @@ def scale_subject(
 
 
 def measured_bones(path: Path) -> tuple[str, ...]:
-    """Bones whose length a recording file's [subject] measures or states; others follow by height.
+    """Bones whose length a recording file's [subject] measures, or states as no height has it.
 
     Raises:
         InputError: the file, or one that it names, cannot be read.
@@ -141,7 +147,18 @@ def measured_bones(path: Path) -> tuple[str, ...]:
     if "static" in fields:
         return tuple(length_deviations(static_landmarks(fields)))
     stated = fields.entries.get("bones", {})
-    return tuple(bone for bone, entry in stated.items() if "length" in entry)
+    lengths = {bone: float(entry["length"]) for bone, entry in stated.items() if "length" in entry}
+    if "height" not in fields:
+        return tuple(lengths)
+    # ``scale --height`` writes all lengths: those that follow are not measured.
+    proportions = fields.entries.get("proportions", JOINT_CENTRES)
+    usual = Skeleton.human(fields.number("height"), proportions=proportions)
+    by_height = dict(zip(usual.tree.bones, np.asarray(usual.lengths, float), strict=True))
+    return tuple(
+        bone
+        for bone, length in lengths.items()
+        if abs(length - by_height.get(bone, np.inf)) > SAME_LENGTH_M
+    )
 
 
 def length_deviations(landmarks: Mapping[str, np.ndarray]) -> dict[str, tuple[float, int]]:

@@ -16,7 +16,8 @@ from jaxmocap.evaluation.series import finite_mean, high_pass, match, second_dif
 from jaxmocap.formats.files.errors import InputError, comma_list
 from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.formats.time_series.markers import default_up, read_markers
-from jaxmocap.formats.time_series.tables import Markers
+from jaxmocap.formats.time_series.resampling import interpolation_at, lerp
+from jaxmocap.formats.time_series.tables import MILLISECOND_S, Markers
 
 LEVEL = 0.9
 
@@ -178,7 +179,9 @@ def position_errors(
     sources: tuple[str | Path, str | Path] = ("tracked joints", "reference"),
     deviations: Mapping[str, np.ndarray] | None = None,
 ) -> Errors:
-    """Errors of tracked joints against a reference's markers, matched by time stamp.
+    """Errors of tracked joints against a reference's markers at the same times.
+
+    Between two samples the reference is interpolated, except within a gap.
 
     Args:
         times: (T,) seconds of the tracked joints.
@@ -202,8 +205,14 @@ def position_errors(
     if not len(a):
         problem = f"covers {_span(times)} and has no time in common with {reference}"
         raise InputError(tracked, f"{problem}, which covers {_span(truth_times)}")
+    # Stamps that differ by rounding are of one moment; else the reference is taken between samples.
+    own, found = np.asarray(times, float)[a], np.asarray(truth_times, float)
+    within = np.clip(own, found[0], found[-1])
+    at = interpolation_at(
+        found, np.where(np.abs(found[b] - own) > MILLISECOND_S / 2, within, found[b])
+    )
     offsets = [
-        np.asarray(joints[joint], float)[a] - np.asarray(truth[marker], float)[b]
+        np.asarray(joints[joint], float)[a] - lerp(np.asarray(truth[marker], float), at)
         for joint, marker in pairs.items()
     ]
     stated = None

@@ -56,8 +56,10 @@ def plot_reliability(path: str | Path, runs: Mapping[str, Errors]) -> None:
     """Draw both for each run, or for each joint's own errors (.png, .svg, .pdf).
 
     Raises:
-        ValueError: a run without deviations.
+        ValueError: a run without deviations, or none.
     """
+    if not runs:
+        raise ValueError("no joint could be compared, expected a reference that shows one")
     figure, axes = new_panels(1, 2, (5.4, 4.2), sharex=False)
     left, right = axes[0]
     most = 0.0
@@ -83,12 +85,13 @@ def plot_reliability(path: str | Path, runs: Mapping[str, Errors]) -> None:
 
 
 def by_joint(errors: Errors) -> dict[str, Errors]:
-    """Joint -> its own errors."""
-    stated = errors.deviations
+    """Joint -> its own errors, of those that could be compared at all."""
+    stated, compared = errors.deviations, np.isfinite(errors.distances).any(0)
     return {
         name: Errors(
             (name,), errors.times, errors.offsets[:, j : j + 1],
             None if stated is None else stated[:, j : j + 1],
         )
         for j, name in enumerate(errors.joints)
+        if compared[j]
     }  # fmt: skip

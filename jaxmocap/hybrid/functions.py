@@ -45,7 +45,7 @@ from jaxmocap.hybrid.elbow_search import no_belief
 from jaxmocap.hybrid.feet import standing
 from jaxmocap.hybrid.fit import Aims, arms_at_minimum, refine_arms, refine_body
 from jaxmocap.hybrid.ik import goals_of, solve_ik
-from jaxmocap.hybrid.observe import arm_regions, edge_fields, no_thresholds
+from jaxmocap.hybrid.observe import arm_regions, edge_fields, images_of, no_thresholds
 from jaxmocap.hybrid.refine import follow_elbows, search_elbows
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import nowhere
@@ -157,10 +157,7 @@ def observe(
     """
     model, settings = check_arguments(model, settings, Settings)
     pose = check_pose("pose", model, pose)
-    each = [images] if images is None or isinstance(images, np.ndarray) else list(images)
-    if len(each) != model.camera_count or model.cameras is None:
-        raise ValueError(f"found {len(each)} images, expected one for each of the model's "
-                         f"{model.camera_count} cameras, None where there is none")  # fmt: skip
+    each = images_of(model.cameras, [None] if images is None else images)
     region = _regions(model, settings, pose)
     fields, _ = edge_fields(settings, no_thresholds(model.camera_count), each, region)
     return _search_elbows(model, settings, pose, in_precision(model, fields))

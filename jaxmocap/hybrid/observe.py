@@ -6,6 +6,7 @@ INPUTS: the markers' pose (for the regions), video frames. OUTPUTS: EdgeFields.
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,9 +24,40 @@ from jaxmocap.images.regions import Region, crop, region_around
 ArmThresholds = tuple[tuple[Thresholds, Thresholds], ...]
 
 
+# By so much of its size an image may differ from what was calibrated.
+SIZE_TOLERANCE = 0.02
+
+
 def no_thresholds(cameras: int) -> ArmThresholds:
     """Before the first frame of so many cameras."""
     return tuple((Thresholds(), Thresholds()) for _ in range(cameras))
+
+
+def images_of(cameras: Camera | None, images: Any) -> list[np.ndarray | None] | None:
+    """Images of each of the cameras, a single one for one camera; None where there are none.
+
+    Raises:
+        ValueError: as many as the cameras are expected, BGR or grey uint8, of the calibrated size.
+    """
+    if images is None:
+        return None
+    each = [images] if isinstance(images, np.ndarray) else list(images)
+    sizes = np.zeros((0, 2)) if cameras is None else np.asarray(cameras.size, float)
+    if len(each) != len(sizes):
+        raise ValueError(f"found {len(each)} images, expected one for each of the model's "
+                         f"{len(sizes)} cameras, None where there is none")  # fmt: skip
+    for image, size in zip(each, sizes, strict=True):
+        if image is None:
+            continue
+        found = np.asarray(image).shape
+        if image.dtype != np.uint8 or found[2:] not in ((), (3,)):
+            problem = f"found an image of shape {found} and {image.dtype}"
+            raise ValueError(f"{problem}, expected (H, W) or (H, W, 3) of uint8")
+        if (np.abs(np.array(found[1::-1]) - size) > SIZE_TOLERANCE * size).any():
+            width, height = size
+            problem = f"found an image of {found[1]} × {found[0]} pixels"
+            raise ValueError(f"{problem}, calibrated for {width:g} × {height:g}")
+    return each
 
 
 def arm_regions(

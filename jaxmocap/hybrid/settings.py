@@ -4,7 +4,7 @@ INPUTS: nothing. OUTPUTS: Settings, whose numbers are traced and whose choices a
 """
 
 from dataclasses import fields
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jax import Array
@@ -19,6 +19,8 @@ from jaxmocap.evidence.terms import Term
 from jaxmocap.hybrid.paper.chamfer import Chamfer
 from jaxmocap.images.edges import EdgeSettings
 from jaxmocap.smoothing.settings import SmoothingSettings
+
+Refinement = Literal["simplex", "gradient", "search", "none"]
 
 
 @settings
@@ -157,7 +159,7 @@ class GradientSettings:
 class Settings:
     """How the tracker works."""
 
-    refine: Literal["simplex", "gradient", "search", "none"] = static(
+    refine: Refinement = static(
         "search",
         "what video does to the pose of the markers: the body follows the search for the elbows; "
         "then each arm is fitted by a downhill simplex, as in the paper, or the whole body by "
@@ -225,10 +227,15 @@ def unused_setting(settings: Settings, smooth: bool, causal: bool = False) -> st
         smooth: whether poses are smoothed over time.
         causal: whether nothing may look ahead.
     """
+    if settings.refine not in get_args(Refinement):
+        return (
+            f"found refine = {settings.refine!r}, expected one of {', '.join(get_args(Refinement))}"
+        )
     if smooth and settings.refine not in ("none", "search"):
         return (
             f'found refine = "{settings.refine}", which fits frame by frame and has no part in '
-            'smoothed poses: expected "search" or "none", or smooth = false, or --paper'
+            'smoothed poses: expected "search" or "none", or no smoothing (smooth = false in a '
+            "settings file; track --paper; live without --smooth)"
         )
     if (smooth or causal) and (cutoff := float(settings.low_pass)) > 0:
         why = "has no part in smoothed poses" if smooth else "looks ahead, as no live run can"

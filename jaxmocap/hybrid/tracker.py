@@ -27,7 +27,7 @@ from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.balance import spine_dofs
 from jaxmocap.hybrid.elbow_search import ElbowBelief, no_belief
-from jaxmocap.hybrid.observe import edge_fields, no_thresholds
+from jaxmocap.hybrid.observe import edge_fields, images_of, no_thresholds
 from jaxmocap.hybrid.refine import Solved, StepReport
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import (
@@ -141,9 +141,10 @@ class HybridTracker:
 
         Raises:
             TypeError: called while JAX traces.
-            ValueError: other markers than the model's.
+            ValueError: other markers or images than the model's.
         """
         model, settings, clock = self.model, self.settings, clock or Clock(False)
+        images = images_of(model.cameras, images)
         targets = self._targets("step", markers_world, state, time)
         solve = self._solving()()
         solved = clock.time_stage("solve", solve, model, settings, state.pose, state.feet, targets)

@@ -89,7 +89,7 @@ def test_a_static_trial_says_what_each_length_rests_on(tmp_path, capsys):
     i = body.tree.bone("humerus_l")
     assert float(body.lengths[i]) == pytest.approx(float(person.lengths[i]), abs=2e-3)
     assert "femur_l     " in printed.err and "by height" in printed.err
-    assert "split as in Table 1" in printed.err
+    assert "in the proportions of the first paper" in printed.err
 
 
 def test_check_lists_which_lengths_were_measured(tmp_path, capsys):
@@ -111,10 +111,13 @@ def test_check_lists_which_lengths_were_measured(tmp_path, capsys):
         assert line in capsys.readouterr().out
         figures = json.loads((tmp_path / "c.json").read_text())
         assert {"spine1", "hip_l"} <= set(figures["measured_bones"])
-    subject = {"height": 1.7}
-    path = write_recording(tmp_path, "static.trc", {"vertex": {"bone": "head"}}, subject=subject)
-    assert main(["check", str(path)]) == 0
-    assert "lengths  all by the height" in capsys.readouterr().out
+    made = ["scale", "--height", "1.45", "--mass", "32.1", "--out", str(tmp_path / "s.toml")]
+    assert main(made) == 0
+    for subject in ({"height": 1.7}, {"file": "s.toml"}):
+        on = {"vertex": {"bone": "head"}}
+        path = write_recording(tmp_path, "static.trc", on, subject=subject)
+        assert main(["check", str(path)]) == 0
+        assert "lengths  all by the height" in capsys.readouterr().out
 
 
 def test_a_real_static_trial_becomes_a_file(recordings, tmp_path):

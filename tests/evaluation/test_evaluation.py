@@ -255,8 +255,29 @@ def test_the_reliability_plot_is_a_picture_and_wants_deviations(tmp_path):
     plot_reliability(tmp_path / "plot.png", by_joint(scattered(0.04)))
     picture = cv2.imread(str(tmp_path / "plot.png"))
     assert picture is not None and (picture != 255).any()
+    # A joint that the reference never shows is left out.
+    hidden = scattered(0.04)
+    hidden.offsets[:, 0] = np.nan
+    assert set(by_joint(hidden)) == set(hidden.joints[1:])
+    with pytest.raises(ValueError, match="no joint could be compared"):
+        plot_reliability(
+            tmp_path / "none.png", by_joint(replace(hidden, offsets=np.nan * hidden.offsets))
+        )
     with pytest.raises(ValueError, match="nothing states how sure"):
         plot_reliability(tmp_path / "none.png", {"run": replace(scattered(0.04), deviations=None)})
+
+
+@pytest.mark.parametrize("rate", [60.0, 100.0, 119.88])
+def test_a_track_at_another_rate_than_its_reference_has_no_error_of_that(rate):
+    def arm(times: np.ndarray) -> np.ndarray:
+        return np.stack([0.3 * np.sin(5 * times), 0.2 * np.cos(4 * times), 0 * times], 1)
+
+    own, found = np.arange(300) / 60, np.arange(round(5 * rate)) / rate
+    errors = position_errors(own, {"a": arm(own)}, found, {"a": arm(found)}, {"a": "a"})
+    assert errors.distances.max() < 8e-4 and len(errors.times) > 290
+    # Stamps that a file rounds are of the samples themselves, and within a gap there is nothing.
+    errors = position_errors(own, {"a": arm(own)}, own.round(3), {"a": arm(own)}, {"a": "a"})
+    np.testing.assert_array_equal(errors.offsets, 0)
 
 
 def test_the_plot_of_errors_shows_both_curves_in_their_colours(tmp_path):

@@ -9,6 +9,7 @@ import pytest
 from conftest import complaint, double
 from scipy.optimize import approx_fprime
 
+from jaxmocap.body.kinematics import Sites, joined_sites
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS
 from jaxmocap.calibration.fitting.camera_plan.expected import of_markers
 from jaxmocap.calibration.fitting.camera_plan.placement import (
@@ -117,6 +118,15 @@ def test_trackers_on_the_elbows_leave_little_and_a_second_one_on_a_bone_is_none(
     worn = subject.with_markers_at(("elbow_l", "elbow_r"))
     assert without_camera(goal_of(worn)) < 0.03
     assert worn.with_markers_at(("elbow_l",)) is None
+    # An ankle is where the shank ends, and a wrist's marker leaves the elbow free.
+    tree, model = subject.model.skeleton.tree, subject.model
+    bones = np.array([tree.bone("tibia_l"), tree.bone("radius_l")], np.int32)
+    ends = Sites(bones, jnp.ones(2, model.dtype), jnp.zeros((2, 3), model.dtype))
+    measured = np.concatenate([subject.measured, np.ones((len(subject.measured), 2), bool)], 1)
+    markers = joined_sites(model.markers, ends)
+    wearing = subject._replace(model=replace(model, markers=markers), measured=measured)
+    assert wearing.with_markers_at(("ankle_l", "ankle_r")) is None
+    assert wearing.with_markers_at(("elbow_l", "elbow_r")) is not None
 
 
 def test_a_marker_that_is_missing_is_worth_nothing(subject, goal):

@@ -177,7 +177,7 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
         (MARKERS + "to_world = [[1, 0], [0, 1]]\n" + ON, "[markers] to_world: found [[1, 0]"),
         (MARKERS + "to_world = [[2, 0, 0], [0, 1, 0], [0, 0, 1]]\n" + ON, "unit rows"),
         (MARKERS + 'up = "z"\nto_world = 3\n' + ON, "found both 'up' and 'to_world'"),
-        (MARKERS, "[markers]: 'on' is missing"),
+        (MARKERS, "on: is missing, expected [markers.on], or set = ... of a common set"),
         (MARKERS + "[markers.on]\n", "[markers.on]: names no marker"),
         (COMPLETE.replace("Head =", "Haed ="), "[markers.on] Haed: no such marker in "),
         (COMPLETE.replace("Head =", "Haed ="), "found Head, Gone"),

@@ -11,6 +11,8 @@ import jaxmocap
 from jaxmocap import Events, HybridTracker, Model, Pose, Settings, Skeleton
 from jaxmocap.compilation.programs import Program, keep_in
 from jaxmocap.compilation.settings import settings, traced
+from jaxmocap.geometry.cameras import Camera, stack_cameras
+from jaxmocap.hybrid.observe import images_of
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.smoothing.functions import check_events
 
@@ -113,6 +115,25 @@ def test_only_the_time_between_events_counts(begun):
     np.testing.assert_allclose(check_events(MODEL, events).times, np.arange(4) / 30, atol=1e-6)
     given = jax.jit(lambda times: check_events(MODEL, events._replace(times=times)).times)
     np.testing.assert_array_equal(given(jnp.arange(4.0)), np.arange(4))
+
+
+def test_images_that_are_no_images_of_the_cameras_are_refused():
+    matrix = np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]])
+    camera = stack_cameras([Camera.create((640, 480), matrix)])
+    grey = np.zeros((480, 640), np.uint8)
+    for image in (grey, np.zeros((480, 640, 3), np.uint8), np.zeros((478, 640), np.uint8)):
+        (found,) = images_of(camera, [image])
+        assert found is image
+    assert images_of(camera, grey)[0] is grey and images_of(None, []) == []
+    assert images_of(camera, None) is None and images_of(camera, [None]) == [None]
+    for images, sentence in (
+        ([grey, grey], "found 2 images, expected one for each of the model's 1 cameras"),
+        ([grey[::2, ::2]], "found an image of 320 × 240 pixels, calibrated for 640 × 480"),
+        ([grey.astype(float)], r"found an image of shape \(480, 640\) and float64, expected"),
+        ([np.zeros((480, 640, 2), np.uint8)], r"shape \(480, 640, 2\)"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            images_of(camera, images)
 
 
 def test_whole_numbers_and_lists_are_taken_and_a_solve_alone_is_compiled_once():

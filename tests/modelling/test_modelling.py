@@ -1,5 +1,7 @@
 """A person's own model from four silhouettes: skeletons, corners, joints, slices, surfaces."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -96,6 +98,8 @@ def test_closed_legs_are_refused_unless_the_bottom_line_is_given():
     with pytest.raises(ValueError, match="no gap between the legs"):
         find_landmarks(image)
     assert find_landmarks(image, bottom=290).bottom == 290
+    with pytest.raises(ValueError, match=r"found row \d+ as the trunk's bottom line, expected one"):
+        find_landmarks(image, bottom=len(image))
 
 
 @given(
@@ -175,6 +179,19 @@ def test_joints_lie_where_they_are(subject):
     for bones, side in zip(model.bent, "lr", strict=True):
         for name in ("shoulder", "elbow", "wrist"):
             assert np.linalg.norm(getattr(bones, name) - truth[f"{name}_{side}"]) < 0.015
+
+
+@pytest.mark.parametrize("aside", [25, -25])
+def test_who_stands_aside_for_the_arms_is_no_taller(subject, aside):
+    _, views, model = subject
+    moved = dict(views)
+    for name in ("joint", "arm_side"):
+        moved[name] = replace(views[name], mask=np.roll(views[name].mask, aside, 1))
+    again = person_model(moved)
+    assert again.shifts["joint"][1] * aside > 0.03 * abs(aside)
+    assert abs(again.shifts["joint"][2] - model.shifts["joint"][2]) < 0.003
+    for ours, theirs in zip(again.bent, model.bent, strict=True):
+        assert abs(ours.shoulder[2] - theirs.shoulder[2]) < 0.004
 
 
 def test_the_paper_s_elbow_is_half_way_between_the_axis_corner_and_the_rim(subject):

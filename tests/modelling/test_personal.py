@@ -81,10 +81,20 @@ def somebody() -> PersonModel:
         both([0, 1, 0.0], [0, -0.2, 1]),
         both([0, 1, -0.1], [0, 1, -0.1]),
         both([0, 0.6, -1], [0, 0.6, -1]),
-        tuple(arm_rings(bend, hinge, start, LENGTHS) for start in starts),
+        tuple(arm_rings(bend, hinge, start, start[1], LENGTHS) for start in starts),
         NOTHING,
         {"front": np.zeros(3), "side": np.zeros(3), "joint": np.array([0.0, 0.03, 0.01])},
     )
+
+
+def test_an_arm_is_the_same_wherever_the_person_stands():
+    bend, hinge = (np.tile(pair, (len(slice_positions()), 1)) for pair in (ARM[:2], ARM[2:]))
+    for side in (1, -1):
+        start, moved = SHOULDER * [1, side, 1], np.array([1.0, 2.0, 0.0])
+        here, there = (
+            arm_rings(bend, hinge, at, start[1], LENGTHS) for at in (start, start + moved)
+        )
+        np.testing.assert_allclose(there, here + moved, atol=1e-12)
 
 
 @pytest.fixture(scope="module")

@@ -390,6 +390,12 @@ def test_a_low_pass_over_poses_found_frame_by_frame_keeps_what_is_slow():
     assert (np.asarray(poses.angles) <= high + 1e-6).all()
 
 
+def test_a_refinement_that_there_is_not_is_refused():
+    for smooth in (True, False):
+        with pytest.raises(ValueError, match="found refine = 'simplx', expected one of simplex"):
+            track(small_recording(), Settings(refine="simplx", smooth=smooth))  # type: ignore[arg-type]
+
+
 def test_a_low_pass_is_refused_where_it_takes_no_part():
     chosen = replace(Settings(smooth=False), low_pass=2.0)
     for settings, mode, says in (

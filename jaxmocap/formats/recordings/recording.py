@@ -104,7 +104,8 @@ class Recording:
     def require_markers(self) -> "Recording":
         """The recording itself, where it has markers; InputError where it has none."""
         if not self.places:
-            raise self.error("[markers] is missing, which is needed to follow markers")
+            problem = "[markers] is missing, which is needed to follow markers"
+            raise self.error(f"{problem}; without any, use jaxmocap silhouette track")
         return self
 
     def error(self, problem: str) -> InputError:
@@ -216,7 +217,10 @@ def _read_placed_markers(
     fields = TomlTable(top.path, "[markers]", top.require("markers"), keys)
     file = fields.file("file")
     R_world_file = read_axes(fields)
-    given = fields.entries.get("on", {}) if "set" in fields else fields.require("on")
+    if not {"on", "set"} & fields.entries.keys():
+        expected = "expected [markers.on], or set = ... of a common set of markers"
+        raise fields.error("on", f"is missing, {expected}")
+    given = fields.entries.get("on", {})
     on = TomlTable(top.path, "[markers.on]", given)
     if not on.entries and "set" not in fields:
         raise on.error("", "names no marker, expected entries such as Head = { bone = 'head' }")

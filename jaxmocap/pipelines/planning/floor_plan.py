@@ -54,7 +54,7 @@ def _draw_room(figure, floor, plan: CameraPlan) -> None:
         "", (0, 0.55), (0, 0), arrowprops={"arrowstyle": "-|>", "color": PERSON, "lw": 1.6}
     )
     floor.plot([-0.22, 0.22], [0, 0], color=PERSON, linewidth=5, solid_capstyle="round")
-    for number, (best, fov_deg) in enumerate(zip(plan.best, plan.fields_of_view, strict=True), 1):
+    for number, (best, fov_deg) in enumerate(zip(plan.best, plan.fields_across, strict=True), 1):
         colour, place = COLOURS[(number - 1) % len(COLOURS)], best.place
         at = np.array([-place.left, place.ahead], float)
         for side in (-0.5, 0.5):

@@ -96,6 +96,12 @@ class Requirements:
         return lenses[-1], float(zoom)
 
 
+def fov_across_deg(camera: Camera) -> float:
+    """From left to right, without distortion."""
+    width, focal = float(np.asarray(camera.size)[0]), float(camera.matrix[0, 0])
+    return float(np.degrees(2 * np.arctan(width / 2 / focal)))
+
+
 def fov_deg(camera: Camera) -> float:
     """Along the longer side, without distortion."""
     focal = float(camera.matrix[0, 0])

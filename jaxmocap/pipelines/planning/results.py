@@ -19,6 +19,7 @@ class CameraPlan(NamedTuple):
     present: float | None  # with the cameras of the recording; None without any
     best: tuple[BestPlace, ...]  # places one after the other, each with those before it
     fields_of_view: tuple[float, ...]  # of the cameras placed, degrees along the longer side
+    fields_across: tuple[float, ...]  # of the same from left to right, degrees
     with_trackers: dict[str, float]  # tracker -> with the first camera and this tracker
     ring: Ring  # places about the person, before any was improved
     bounds: Bounds  # walls and heights

@@ -32,6 +32,8 @@ from jaxmocap.synthetic.movements.motions import Performance
 from jaxmocap.synthetic.recording import marker_places
 
 SECONDS, SEED = 4.0, 0
+# Markers nearer than this are at one place, metres.
+SAME_M = 0.08
 # Stretches of a movement, moments of each, and moments a second.
 STRETCHES, MOMENTS, RATE_HZ = 4, 12, 15.0
 
@@ -46,10 +48,14 @@ class Subject(NamedTuple):
     cameras: tuple[Camera, ...]  # that stand already
 
     def with_markers_at(self, landmarks: tuple[str, ...]) -> "Subject | None":
-        """The same with more markers; None where a bone of theirs carries one already."""
+        """The same with more markers; None where one of them is worn there already."""
         model, shape = self.model, (len(self.measured), len(landmarks))
         more = landmark_sites(model.skeleton, landmarks)
-        if np.isin(np.asarray(more.bones), np.asarray(model.markers.bones)).any():
+        frames = forward(model.skeleton, jax.tree.map(lambda part: part[0], self.poses))
+        there, worn = (
+            site_positions(model.skeleton, frames, each) for each in (more, model.markers)
+        )
+        if (np.linalg.norm(np.asarray(there)[:, None] - np.asarray(worn), axis=-1) < SAME_M).any():
             return None
         joined = replace(model, markers=joined_sites(model.markers, more))
         measured = np.concatenate([self.measured, np.ones(shape, bool)], 1)

@@ -8,6 +8,7 @@ the person for other commands and programs, as ``silhouette_person`` has it.
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
@@ -160,7 +161,8 @@ def pictures(modelled: ModelResult) -> dict[str, np.ndarray]:
         [[arm.shoulder, arm.elbow, arm.wrist, arm.tip] for arm in model.arm_pixels]
     )
     drawn["joint"] = drawing.with_points(drawn["joint"], bent)
-    straight = views["arm_side"].pixels(np.concatenate([np.array(b) for b in model.stretched]))
+    arm_side = replace(views["arm_side"], shift=model.shifts["arm_side"])
+    straight = arm_side.pixels(np.concatenate([np.array(bones) for bones in model.stretched]))
     drawn["arm_side"] = drawing.with_points(drawn["arm_side"], straight)
     return drawn
 

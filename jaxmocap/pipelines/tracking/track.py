@@ -127,7 +127,8 @@ def track_both(
         raise ValueError(problem)
     if used and mode != "nearest" and not (marked or smooth or tracker.settings.search):
         problem = "found search = false (--paper), which takes no frame between two samples"
-        raise recording.error(f"{problem}: expected the nearest frame (--nearest)")
+        expected = "no --causal, and" if causal else "the nearest frame:"
+        raise recording.error(f"{problem}: expected {expected} --nearest")
     if why and (causal or not smooth):
         problem = "found --why, which is of poses that are smoothed over the whole recording"
         expected = "smoothing and neither --causal nor --paper"

@@ -132,6 +132,7 @@ def arm_rings(
     bend: np.ndarray,
     hinge: np.ndarray,
     shoulder: np.ndarray,
+    left: float,
     lengths: np.ndarray,
     reading: Reading = OWN,
 ) -> np.ndarray:
@@ -141,16 +142,17 @@ def arm_rings(
         bend: (K, 2) reaches towards the inner side of the bent elbow, which looks ahead then, and
             away from it, metres.
         hinge: (K, 2) reaches up and down.
-        shoulder: (3,) its joint, world, metres; left where y is positive as seen from the neck.
+        shoulder: (3,) its joint, world, metres.
+        left: how far it lies to the left of the neck, metres; negative on the right.
         lengths: (3,) of upper arm and forearm, and how far the hand reaches along it.
         reading: how slices are made of reaches.
     """
-    side = np.sign(shoulder[1])
+    side = np.sign(left)
     along = np.interp(slice_positions(), np.arange(4.0), np.append(0.0, np.cumsum(lengths)))
     fullness = np.repeat(FULLNESS, [*SLICES[:2], SLICES[2] + 1])
     rings = np.stack([_ring(*three, reading) for three in zip(bend, hinge, fullness, strict=True)])
     # Inwards it goes on as it begins, somewhat slimmer, so that it ends within the trunk.
-    inner = np.linspace(-INTO_TRUNK * abs(shoulder[1]), 0, INNER_RINGS + 1)[:-1]
+    inner = np.linspace(-INTO_TRUNK * abs(left), 0, INNER_RINGS + 1)[:-1]
     slim = np.linspace(0.7, 1.0, INNER_RINGS + 1)[:-1, None, None]
     rings = np.concatenate([slim * rings[:1], rings])
     y = np.broadcast_to(side * np.append(inner, along)[:, None], rings.shape[:2])

@@ -124,6 +124,7 @@ def person_model(
     with _of("arm_side"):
         arm_side = aligned_view(views["arm_side"], views["front"], landmarks, body)
         stretched = stretched_arms(arm_side, body, bent, reading)
+    middle = float(np.mean([bones.shoulder[1] for bones in bent]))
     arms = tuple(
         arm_rings(
             without_elbow_fold(
@@ -131,6 +132,7 @@ def person_model(
             ),
             arm_thickness(arm_side, straight, UP),
             bones.shoulder,
+            float(bones.shoulder[1]) - middle,
             np.append(bones.lengths[:2], hand_extent(bones)),
             reading,
         )
@@ -181,6 +183,10 @@ def stretched_arms(
     return tuple(result)
 
 
+# Who moved aside has the head elsewhere: its top is looked for so many times above the neck found.
+ASIDE_ROUNDS = 3
+
+
 def aligned_view(
     view: PhotographView, front: PhotographView, landmarks: FrontLandmarks, body: Trunk
 ) -> PhotographView:
@@ -190,12 +196,16 @@ def aligned_view(
     """
     middle = body.middles[-1]
     there = view.pixels(np.append(middle[:2], body.pits[:, 2].min()))
-    # Hands may be higher than the head.
-    column = np.flatnonzero(view.mask[:, round(float(np.clip(there[0], 0, len(view.mask.T) - 1)))])
-    if len(column) == 0 or column[0] >= there[1]:
-        raise ValueError("found no head where the front view has it, expected the same place")
-    top = int(column[0])
-    _, neck_x = narrowest_neck(view.mask, top, int(there[1]), float(there[0]))
+    neck_x, top = float(there[0]), 0
+    for _ in range(ASIDE_ROUNDS):
+        # Hands may be higher than the head.
+        column = np.flatnonzero(
+            view.mask[:, round(float(np.clip(neck_x, 0, len(view.mask.T) - 1)))]
+        )
+        if len(column) == 0 or column[0] >= there[1]:
+            raise ValueError("found no head where the front view has it, expected the same place")
+        top = int(column[0])
+        _, neck_x = narrowest_neck(view.mask, top, int(there[1]), neck_x)
     before, now = (
         each.plane_points(np.array([x, row]), middle)
         for each, x, row in ((front, landmarks.neck_x, landmarks.top), (view, neck_x, top))

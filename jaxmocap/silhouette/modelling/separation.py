@@ -45,6 +45,9 @@ def find_landmarks(mask: np.ndarray, bottom: int | None = None) -> FrontLandmark
     """
     top = int(np.flatnonzero(mask.any(1))[0])
     bottom = crotch(mask) if bottom is None else bottom
+    if not 0 <= bottom < len(mask):
+        raise ValueError(f"found row {bottom} as the trunk's bottom line, expected one of the "
+                         f"image's {len(mask)} rows")  # fmt: skip
     first, last = trunk_run(mask, bottom)
     middle = (first + last) / 2
     pits = arm_pits(mask, top, bottom, middle)
