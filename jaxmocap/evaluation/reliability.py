@@ -86,7 +86,7 @@ def plot_reliability(path: str | Path, runs: Mapping[str, Errors]) -> None:
 
 def by_joint(errors: Errors) -> dict[str, Errors]:
     """Joint -> its own errors, of those that could be compared at all."""
-    stated, compared = errors.deviations, np.isfinite(errors.distances).any(0)
+    stated, compared = errors.deviations, np.asarray(np.isfinite(errors.distances).any(0))
     return {
         name: Errors(
             (name,), errors.times, errors.offsets[:, j : j + 1],

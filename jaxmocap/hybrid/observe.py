@@ -41,7 +41,8 @@ def images_of(cameras: Camera | None, images: Any) -> list[np.ndarray | None] | 
     """
     if images is None:
         return None
-    each = [images] if isinstance(images, np.ndarray) else list(images)
+    one = isinstance(images, np.ndarray)
+    each: list[np.ndarray | None] = [images] if one else list(images)
     sizes = np.zeros((0, 2)) if cameras is None else np.asarray(cameras.size, float)
     if len(each) != len(sizes):
         raise ValueError(f"found {len(each)} images, expected one for each of the model's "
