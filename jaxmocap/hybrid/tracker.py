@@ -144,7 +144,8 @@ class HybridTracker:
             ValueError: other markers or images than the model's.
         """
         model, settings, clock = self.model, self.settings, clock or Clock(False)
-        images = images_of(model.cameras, images)
+        # Without a camera there is nothing to look at.
+        images = None if model.cameras is None else images_of(model.cameras, images)
         targets = self._targets("step", markers_world, state, time)
         solve = self._solving()()
         solved = clock.time_stage("solve", solve, model, settings, state.pose, state.feet, targets)
