@@ -23,7 +23,6 @@ from jaxmocap.calibration.extrinsics import (
     estimate_placement,
     is_wrong_way_up,
 )
-from jaxmocap.capture.video import SIZE_TOLERANCE
 from jaxmocap.formats.cameras.calibration import (
     Intrinsics,
     check_camera_writable,
@@ -33,6 +32,7 @@ from jaxmocap.formats.cameras.calibration import (
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP
 from jaxmocap.formats.time_series.markers import read_points
+from jaxmocap.geometry.cameras import SIZE_TOLERANCE
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,9 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import regular_file
 from jaxmocap.formats.recordings.recording import VideoSource
 from jaxmocap.formats.time_series.tables import check_times, usual_step
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import SIZE_TOLERANCE, Camera
 
 TimedImage = tuple[float, np.ndarray | None]
-# A video that differs more than this from its calibration was not taken with it.
-SIZE_TOLERANCE = 0.02
 NO_VIDEO = "is not a video"
 # The size before the first image.
 _UNKNOWN_SIZE = (0, 0)

@@ -28,6 +28,8 @@ SMALLEST_FOCAL, LARGEST_FOCAL = 1e-3, 1e8
 LARGEST_DISTORTION, LARGEST_TANGENTIAL = 1e6, 100.0
 # Points nearer than this to the camera's plane, or behind it, are projected as if they lay here.
 NEAREST_M = 0.05
+# A video that differs more than this from its calibration was not taken with it.
+SIZE_TOLERANCE = 0.02
 # Lenses bend lines; beyond this much of the image's size their formula means nothing.
 DISTORTION_MARGIN = 0.5
 

@@ -15,17 +15,13 @@ from jax import Array
 
 from jaxmocap.body.arms import Arms
 from jaxmocap.evidence.edges import EdgeFields
-from jaxmocap.geometry.cameras import Camera, project
+from jaxmocap.geometry.cameras import SIZE_TOLERANCE, Camera, project
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.images.edges import Thresholds, distance_fields, equalise_levels, to_grey
 from jaxmocap.images.regions import Region, crop, region_around
 
 # Canny's thresholds of both arms in each camera, which the next frame begins with.
 ArmThresholds = tuple[tuple[Thresholds, Thresholds], ...]
-
-
-# By so much of its size an image may differ from what was calibrated.
-SIZE_TOLERANCE = 0.02
 
 
 def no_thresholds(cameras: int) -> ArmThresholds:

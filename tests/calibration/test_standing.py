@@ -255,7 +255,7 @@ def test_who_moves_is_not_calibrated_and_the_file_stays(tmp_path, monkeypatch):
     assert (tmp_path / "live.toml").read_text() == FILE
 
 
-def test_why_no_device_comes_in_is_said(tmp_path, monkeypatch):
+def test_the_error_tells_why_no_device_comes_in(tmp_path, monkeypatch):
     class Refused(Source):
         problem = "expected channels of numbers, found text"
 

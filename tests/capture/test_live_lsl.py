@@ -94,22 +94,22 @@ def test_a_stream_without_such_channels_is_said():
 
 def test_other_channels_may_have_other_units_and_a_markers_may_not():
     labels = [f"{name}.{axis}" for name in ("Head", "Gyro") for axis in "xyz"]
-    for units, said in ((["m"] * 3 + ["deg/s"] * 3, None), (["km"] * 3 + ["m"] * 3, "'km'")):
+    for units, problem in ((["m"] * 3 + ["deg/s"] * 3, None), (["km"] * 3 + ["m"] * 3, "'km'")):
         name = f"jaxmocap test {time.time_ns()}"
         sends = outlet(name, labels, units)
         stream, samples = listening(name)
         try:
-            assert said is not None or sends.wait_for_consumers(15.0)
+            assert problem is not None or sends.wait_for_consumers(15.0)
             for i in range(40):
                 sends.push_sample([1.0, 2.0, 3.0, 7.0, 8.0, 9.0], pylsl.local_clock() + i / 90)
                 time.sleep(0.002)
             wait_for(lambda s=stream, got=samples: got or s.problem is not None, 15.0)
         finally:
             stream.stop()
-        if said is None:
+        if problem is None:
             assert stream.problem is None and samples
         else:
-            assert said in str(stream.problem) and "Head" in str(stream.problem) and not samples
+            assert problem in str(stream.problem) and "Head" in str(stream.problem) and not samples
 
 
 def test_a_stream_of_text_is_refused_and_its_labels_are_no_commands_to_a_terminal():

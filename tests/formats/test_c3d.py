@@ -148,7 +148,7 @@ def test_a_real_serve_is_read_and_written(recordings, tmp_path):
     np.testing.assert_array_equal(is_missing, np.isnan(serve.positions).any(-1).ravel())
 
 
-def test_what_stands_among_the_points_and_is_none_is_left_out_and_said(tmp_path):
+def test_what_stands_among_the_points_and_is_none_is_left_out_with_a_warning(tmp_path):
     file = ezc3d.c3d()
     group = file["parameters"]["POINT"]
     group["RATE"]["value"], group["UNITS"]["value"] = [100.0], ["mm"]
@@ -160,8 +160,8 @@ def test_what_stands_among_the_points_and_is_none_is_left_out_and_said(tmp_path)
     markers = read_c3d(tmp_path / "a.c3d")
     assert markers.names == ("LKNE", "RKNE")
     np.testing.assert_allclose(markers.positions[0, :, 0], [1e-3, 4e-3], rtol=1e-6)
-    (said,) = c3d.unconverted_content(tmp_path / "a.c3d")
-    assert said.startswith("2 angles, forces") and said.endswith("LKneeAngles, LKneeMoment")
+    (left,) = c3d.unconverted_content(tmp_path / "a.c3d")
+    assert left.startswith("2 angles, forces") and left.endswith("LKneeAngles, LKneeMoment")
 
 
 def test_frames_beyond_what_the_header_counts_keep_their_times_or_are_refused(tmp_path):

@@ -257,7 +257,7 @@ def test_a_device_that_is_not_there_is_reported_and_one_that_leaves_is_asked_for
     assert len(opened) >= 3
 
 
-def test_a_driver_that_fails_is_asked_again_and_who_is_quiet_is_said_to_be(tmp_path, monkeypatch):
+def test_a_driver_that_fails_is_asked_again_and_quiet_cameras_are_listed(tmp_path, monkeypatch):
     """Grey images of a device, and OpenCV's own error in between."""
     opened: list[int] = []
 

@@ -24,11 +24,11 @@ from jaxmocap.capture import decoding
 from jaxmocap.capture.decoding import TIMEOUT_S
 from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.capture.streams.source import Listener
-from jaxmocap.capture.video import SIZE_TOLERANCE, Video
+from jaxmocap.capture.video import Video
 from jaxmocap.formats.cameras.video_sources import read_video_tables
 from jaxmocap.formats.files.errors import InputError, short_repr
 from jaxmocap.formats.files.toml import TomlTable
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import SIZE_TOLERANCE, Camera
 
 Images = Generator[np.ndarray, None, None]
 # A camera that went away is asked for again after so many seconds.

@@ -253,9 +253,9 @@ class LiveTracking:
         is_seen = self._cameras and newest - self._last_frame_arrived < UNSEEN_S
         # No camera's next frame is older than its last one.
         each = self._newest_frames.values()
-        seen = [taken for taken, arrived in each if newest - arrived < UNSEEN_S]
+        newest_taken = [taken for taken, arrived in each if newest - arrived < UNSEEN_S]
         until = newest - (self._longest_wait if is_seen else 0.0)
-        return self._release(max(until, min(seen, default=until)))
+        return self._release(max(until, min(newest_taken, default=until)))
 
     def _release(self, until: float) -> list[Output]:
         outputs = []
