@@ -181,6 +181,20 @@ def test_joints_lie_where_they_are(subject):
             assert np.linalg.norm(getattr(bones, name) - truth[f"{name}_{side}"]) < 0.015
 
 
+def test_hands_reach_to_the_longest_fingers_tip(subject):
+    rig, _, model = subject
+    body = MeasuredPerson.of(person_in_stance(rig, "joint"))
+    at = body.landmarks()
+    for bones, side in zip(model.bent, "lr", strict=True):
+        wrist = at[f"wrist_{side}"]
+        ahead = wrist - at[f"elbow_{side}"]
+        beyond = (body.vertices - wrist) @ ahead / np.linalg.norm(ahead)
+        hand = beyond[np.linalg.norm(body.vertices - wrist, axis=1) < 0.3].max()
+        reached = (bones.tip - wrist) @ ahead / np.linalg.norm(ahead)
+        # The axis ends within the fingertip.
+        assert 0 < hand - reached < 0.01
+
+
 @pytest.mark.parametrize("aside", [25, -25])
 def test_who_stands_aside_for_the_arms_is_no_taller(subject, aside):
     _, views, model = subject

@@ -26,6 +26,8 @@ SMOOTH_PX = 4.0
 CORNER_REACH = 0.05
 # A bent elbow turns the axis by at least so much, radians.
 LEAST_BEND = 0.5
+# The forearm's middle, as a share of the way from the middle of the trunk to the fingertip.
+FOREARM_MIDDLE = 0.66
 # Deviation of the blur over radii along the axis, pixels: single pixels make no place thin.
 SMOOTH_RADII_PX = 3.0
 
@@ -54,8 +56,12 @@ def arm_axis(
     if not beyond.any():
         raise ValueError("found no arm beyond the arm pit, expected arms held out and up")
     begin = int(np.argmin(np.sum((axis.pixels_xy - start_xy) ** 2, 1)))
-    ways = dijkstra(axis.edges, indices=begin)
-    tip = axis.pixels_xy[np.argmax(np.where(beyond, ways, -1.0))]
+    lengths_px = np.where(beyond, dijkstra(axis.edges, indices=begin), -1.0)
+    # The way over closed gaps can be longest to a finger that is not: the longest reaches farthest.
+    hand = lengths_px > FOREARM_MIDDLE * lengths_px.max()
+    forearm = np.argmin(np.abs(lengths_px - FOREARM_MIDDLE * lengths_px.max()))
+    reach_px = np.linalg.norm(axis.pixels_xy - axis.pixels_xy[forearm], axis=1)
+    tip = axis.pixels_xy[np.argmax(np.where(hand, reach_px, -1.0))]
     way = evenly_spaced(axis.pixels_xy[path(axis, start_xy, tip)].astype(float))
     return evenly_spaced(gaussian_filter1d(way, SMOOTH_PX, axis=0, mode="nearest"))
 
