@@ -87,6 +87,9 @@ def place_camera(
     path, out = Path(image), Path(out)
     check_camera_writable(out, camera)
     folder = picture_folder(pictures, f"extrinsics of {camera}", [path])
+    if intrinsics is None and not out.exists():
+        expected = f"the intrinsics of {camera} there, or another file by --intrinsics"
+        raise InputError(out, f"no such file, expected {expected}")
     lens = read_intrinsics(intrinsics or out, camera)
     picture = Picture(path.name, path)
     photo = picture.image()

@@ -126,6 +126,20 @@ def pair(expected: str) -> Callable[[str], tuple[str, str]]:
     return read
 
 
+class PairsAction(argparse.Action):
+    """Stores what ``pair`` read as a dictionary; a left name that stands twice is refused."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, *_: Any
+    ) -> None:
+        """Called by argparse."""
+        left = [name for name, _ in values]
+        twice = [name for name in left if left.count(name) > 1]
+        if twice:
+            raise argparse.ArgumentError(self, f"found {twice[0]} twice, expected each name once")
+        setattr(namespace, self.dest, dict(values))
+
+
 def inner_corners(text: str) -> tuple[int, int]:
     """COLUMNSxROWS of a chessboard's inner corners."""
     return _product(text, 0, "inner corners such as 4x7")

@@ -390,14 +390,19 @@ def test_a_photograph_a_little_narrower_is_taken_as_cropped_and_said(folder, cap
     assert "taken as cropped on the right" in capsys.readouterr().out
 
 
-def test_a_pose_needs_its_board_and_a_camera_its_intrinsics(folder, unplaced):
+def test_a_pose_needs_its_board_and_a_camera_its_intrinsics(folder, unplaced, refusal):
     assert "expected --board and --square too" in unplaced("--pose", numbers(POSE))
+    found = unplaced(*CHESS, "--points", str(folder / "points.csv"))
+    assert "--points: takes no board, found --board, --square" in found
     (folder / "c.toml").write_text("[other]\nsize = [640, 480]\n")
     message = unplaced(*CHESS, "--pose", numbers(POSE))
     assert "section [cam] is missing, found other" in message
     (folder / "c.toml").write_text("[cam]\nfisheye = 'yes'\n")
     message = unplaced(*CHESS, "--pose", numbers(POSE))
     assert "[cam]: 'size' is missing" in message
+    (folder / "c.toml").unlink()
+    message = refusal(*command(folder, *CHESS, "--pose", numbers(POSE)))
+    assert "c.toml: no such file, expected the intrinsics of cam there" in message
 
 
 @pytest.mark.parametrize("pose", ["1,2,3", "1,2,3,4,5,x", "1,2,3,4,5,nan", ""])

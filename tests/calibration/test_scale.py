@@ -158,6 +158,7 @@ def test_the_command_refuses_in_one_sentence(tmp_path, refusal):
         (["--recording", "a.toml", "--up", "y"], "do not go with --recording"),
         (["--height", "3"], "the person: height = 3.0: expected metres between 0.5 and 2.5"),
         (["--static", str(tmp_path / "none.trc")], "no such file"),
+        (["--static", "a.trc", "--landmarks", "neck=A", "neck=B"], "found neck twice"),
         (["--static", str(tmp_path / "a.trc")], "no marker called as a landmark is"),
         (["--static", str(tmp_path / "a.trc"), "--landmarks", "neck=Head"], "needs the landmark"),
     ):

@@ -251,6 +251,7 @@ def test_an_unknown_joint_or_marker_is_refused_with_a_list(tracked, refusal):
         (["track", "r.toml"], "jaxmocap track: the following arguments are required: --out"),
         (["track", "r.toml", "--out", "o", "--causal", "--nearest"], "not allowed with"),
         (["track", "r.toml", "--out", "o", "--refine", "magic"], "invalid choice: 'magic'"),
+        (["evaluate", "d", "t", "--match", "elbow_l=A", "elbow_l=B"], "found elbow_l twice"),
         (["evaluate", "d", "t", "--match", "elbow_l"], "found 'elbow_l', expected JOINT=MARKER"),
         (["demo", "--seconds", "-1"], "found -1, expected a positive number"),
         (["demo", "--seconds", "1e9"], "--seconds: found 1e+09, expected 0.1 to 3600"),

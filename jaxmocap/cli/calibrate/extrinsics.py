@@ -52,10 +52,15 @@ def run(options: argparse.Namespace) -> None:
     from jaxmocap.calibration.board.boards import parse_board
     from jaxmocap.calibration.calibration_report import extrinsics_figures, extrinsics_text
     from jaxmocap.calibration.place_camera import PlacementTarget, place_camera
-    from jaxmocap.formats.files.errors import InputError
+    from jaxmocap.formats.files.errors import InputError, comma_list
 
     board = None
-    if options.points is None:
+    if options.points is not None:
+        board_options = "board", "square", "charuco", "origin"
+        stated = [f"--{name}" for name in board_options if getattr(options, name) is not None]
+        if stated:
+            raise InputError("--points", f"takes no board, found {comma_list(stated)}")
+    else:
         if options.board is None or options.square is None:
             raise InputError("--pose", "is of a board, expected --board and --square too")
         board = parse_board(options.board, options.square, options.charuco)

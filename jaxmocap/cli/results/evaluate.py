@@ -5,7 +5,7 @@ INPUTS: a folder that ``track`` wrote, a reference's file. OUTPUTS: errors of ea
 
 import argparse
 
-from jaxmocap.cli.command import files_read, finite_number, pair, report
+from jaxmocap.cli.command import PairsAction, files_read, finite_number, pair, report
 
 PURPOSE = "compare tracked joints with a reference"
 EXAMPLE = "jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow"
@@ -19,6 +19,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="JOINT=MARKER",
         type=pair("JOINT=MARKER"),
         nargs="+",
+        action=PairsAction,
         help="a joint and its marker in the reference; default: joints of the same name in both",
     )
     parser.add_argument(
@@ -47,8 +48,9 @@ def run(options: argparse.Namespace) -> None:
 
     if options.out:
         check_picture(options.out, files_read(options))
-    pairs = None if options.match is None else dict(options.match)
-    errors = evaluate_directory(options.directory, options.truth, pairs, options.up, options.offset)
+    errors = evaluate_directory(
+        options.directory, options.truth, options.match, options.up, options.offset
+    )
     lines, files = [format_table(errors)], []
     if options.out:
         try:

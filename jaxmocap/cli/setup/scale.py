@@ -6,7 +6,7 @@ INPUTS: a height, a static trial or a recording. OUTPUTS: subject.toml; its leng
 import argparse
 from pathlib import Path
 
-from jaxmocap.cli.command import files_read, pair, positive_number, report
+from jaxmocap.cli.command import PairsAction, files_read, pair, positive_number, report
 from jaxmocap.formats.files.errors import InputError
 
 PURPOSE = "write a person's body to a file"
@@ -42,7 +42,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="LANDMARK=MARKER",
         type=pair("LANDMARK=MARKER"),
         nargs="+",
-        default=[],
+        action=PairsAction,
+        default={},
         help="neck, hips, shoulders, and any others of the static trial; without it, those that "
         "are called as landmarks are",
     )
@@ -64,7 +65,7 @@ def run(options: argparse.Namespace) -> None:
             options.out,
             options.height,
             options.static,
-            dict(options.landmarks),
+            options.landmarks,
             options.up,
             options.mass,
             options.wrists,
