@@ -3,6 +3,7 @@
 INPUTS: a Skeleton and its Frames. OUTPUTS: Arms, left then right, and their flesh.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -18,6 +19,7 @@ from jaxmocap.body.tree import Tree
 from jaxmocap.geometry.rotations import (
     about_axis,
     compose,
+    exp,
     hinges_from_matrix,
     quaternion_log,
     rotate,
@@ -247,6 +249,39 @@ def turn_forearm(arms: Arms, R_turn: Array) -> tuple[Arms, Array]:
     shoulder = elbow + upper * (arms.humerus_length / length)[..., None]
     moved = arms._replace(shoulder=shoulder, elbow=elbow, wrist=wrist, tip=tip)
     return moved, length - arms.humerus_length
+
+
+def side_of(arms: Arms, side: int | Array) -> Arms:
+    """One of both arms."""
+    return jax.tree.map(lambda part: part[side], arms)
+
+
+def turn_arms(arms: Arms, turns: Array | np.ndarray = TURNS) -> tuple[Arms, Array]:
+    """Candidates (2, K) of both arms, and by how much (2, K) their shoulders give way."""
+
+    def of_turn(arm: Arms, turn: Array) -> tuple[Arms, Array]:
+        R = arm.R_world_radius
+        return turn_forearm(arm, compose(compose(R, exp(turn)), R.T))
+
+    turns = jnp.asarray(turns, arms.elbow.dtype)
+    return jax.vmap(jax.vmap(of_turn, (None, 0)), (0, None))(arms, turns)
+
+
+def turned_angles(hung: Hung, turns: Array | np.ndarray = TURNS) -> Array:
+    """Joint angles (2, K, 4), shoulder to elbow, of both arms' candidates by turns (K, 3)."""
+    arms, _ = turn_arms(hung.arms, turns)
+    sides = [jax.vmap(partial(bent, hung, side))(side_of(arms, side)) for side in range(2)]
+    return jnp.stack(sides)
+
+
+def turn_pose(skeleton: Skeleton, pose: Pose, grip_sites: Sites, turns: Array) -> Pose:
+    """A pose whose forearms turn about their grips by (2, 3), radians; 0 leaves an arm alone."""
+    hung, dofs = hang(skeleton, pose, grip_sites), arm_dofs(skeleton.tree)
+    angles = jnp.stack([turned_angles(hung, turns[side, None])[side, 0] for side in range(2)])
+    moves = jnp.any(turns != 0, -1, keepdims=True)
+    return pose._replace(
+        angles=pose.angles.at[dofs].set(jnp.where(moves, angles, pose.angles[dofs]))
+    )
 
 
 def turn_between(arms: Arms, refined: Arms) -> Array:

@@ -33,7 +33,7 @@ from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.images.background_model import spread
 from jaxmocap.images.foreground import shrink
 from jaxmocap.images.silhouette_grid import blur_grid
-from jaxmocap.smoothing.elbow_viterbi import elbow_goals
+from jaxmocap.smoothing.elbow_viterbi import elbow_path, turn_forearms
 from jaxmocap.smoothing.facing import facing_in_time, references
 from jaxmocap.smoothing.linearise import rows_of, smooth_poses
 from jaxmocap.smoothing.problem import (
@@ -158,9 +158,10 @@ def solve_recording(
         return SmoothingProblem(model, settings, first_pass.times, measured, views)
 
     def decided(problem: SmoothingProblem, trajectory: Trajectory) -> Trajectory:
-        goals = elbow_goals(problem, trajectory)
-        guided = problem.with_measured(elbows=goals)
-        return smooth_poses(guided, trajectory, DECIDING, PREPARED).trajectory
+        path = elbow_path(problem, trajectory)
+        guided = problem.with_measured(elbows=path.goals)
+        start = turn_forearms(model, trajectory, path.turns)
+        return smooth_poses(guided, start, DECIDING, PREPARED).trajectory
 
     poses = first_pass.poses
     if model.no_foot_is_marked:

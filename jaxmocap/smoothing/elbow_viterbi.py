@@ -5,7 +5,8 @@ before the image plane from behind it. So every frame of every camera prices the
 candidates of the search, with the rest of the body where it is; dynamic programming over
 time (Viterbi) then decides, so that clear frames decide for the ambiguous ones before and after.
 
-INPUTS: a recording's problem and its trajectory so far. OUTPUTS: goals for the elbows.
+INPUTS: a recording's problem and its trajectory so far. OUTPUTS: goals for the elbows, and poses
+whose arms are turned there.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -22,13 +23,14 @@ from scipy.spatial.distance import cdist
 from jaxmocap.body.arms import (
     TURNS,
     Arms,
-    Hung,
     arm_dofs,
     arms_of,
-    bent,
     flesh,
     hang,
-    turn_forearm,
+    side_of,
+    turn_arms,
+    turn_pose,
+    turned_angles,
 )
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
@@ -47,7 +49,6 @@ from jaxmocap.evidence.silhouettes import (
 )
 from jaxmocap.geometry.cameras import Camera, depth
 from jaxmocap.geometry.outlines import Discs, Touch, depth_along, touch
-from jaxmocap.geometry.rotations import compose, exp
 from jaxmocap.images.regions import Region, discs_in_region
 from jaxmocap.images.silhouette_grid import Grid, cells
 from jaxmocap.smoothing.linearise import coarsely, rows_of, views_of
@@ -60,10 +61,21 @@ STAY = int(np.argmin(np.sum(TURNS**2, -1)))
 SOFTNESS = 1.5
 # Views in one call.
 VIEWS_A_CALL = 16
+# Poses in one call.
+POSES_A_CALL = 64
 
 
-def elbow_goals(problem: SmoothingProblem, trajectory: Trajectory) -> np.ndarray:
-    """Where the cheapest path takes the elbows, (T, 2, 3) world, metres; NaN without a view.
+class ElbowPath(NamedTuple):
+    """Where the cheapest path takes the elbows at T events."""
+
+    goals: np.ndarray  # (T, 2, 3) world, metres; NaN without a view
+    # (T, 2, 3) of the forearms, as of ``TURNS``, radians; without a view those of the nearest event
+    # that has one.
+    turns: np.ndarray
+
+
+def elbow_path(problem: SmoothingProblem, trajectory: Trajectory) -> ElbowPath:
+    """The cheapest path.
 
     First each arm for itself, the other one where it is. What one then claims may be the other's
     in truth; so of going there and staying, both arms decide together.
@@ -97,10 +109,33 @@ def elbow_goals(problem: SmoothingProblem, trajectory: Trajectory) -> np.ndarray
         costs = (costs + price(_pair_costs, tuple(pairs))).reshape(len(frames), -1)
     left, right = (elbows[rows, side, pairs[side]] for side in range(2))
     both = np.concatenate([np.repeat(left, 2, 1), np.tile(right, (1, 2, 1))], 2)
-    decided = both[rows[:, 0], cheapest_path(costs, both, times, *prices)]
+    way, row = cheapest_path(costs, both, times, *prices), rows[:, 0]
     goals = np.full((len(problem.times), 2, 3), np.nan, np.float32)
-    goals[frames] = decided.reshape(-1, 2, 3)
-    return goals
+    goals[frames] = both[row, way].reshape(-1, 2, 3)
+    chosen = np.stack([pairs[0][row, way // 2], pairs[1][row, way % 2]], 1)
+    nearest = np.rint(np.interp(problem.times, times, row)).astype(int)
+    return ElbowPath(goals, TURNS[chosen[nearest]])
+
+
+def turn_forearms(model: Model, trajectory: Trajectory, turns: np.ndarray) -> Trajectory:
+    """The same, its forearms turned by (T, 2, 3) about their grips.
+
+    A solve that is only told where an elbow belongs may end in another valley.
+    """
+    call = partial(_turned, replace(model, skeleton=trajectory.person(model.skeleton)))
+    (angles,) = in_batches(call, (trajectory.poses, turns.astype(model.dtype)), POSES_A_CALL)
+    poses = trajectory.poses._replace(angles=angles.astype(model.dtype))
+    return trajectory._replace(poses=poses)
+
+
+@program("quick")
+def _turned(model: Model, poses: Pose, turns: Array) -> Array:
+    """Angles (B, D) of a batch of poses, their forearms turned by (B, 2, 3)."""
+
+    def of_pose(pose: Pose, turn: Array) -> Array:
+        return turn_pose(model.skeleton, pose, model.grips, turn).angles
+
+    return jax.vmap(of_pose)(poses, turns)
 
 
 def price_off_lines(elbows: Array, lines: SightLines, deviation: Array) -> Array:
@@ -149,28 +184,6 @@ def cheapest_path(
     return path
 
 
-def _side(arms: Arms, side: int | Array) -> Arms:
-    return jax.tree.map(lambda part: part[side], arms)
-
-
-def _turn_arms(arms: Arms, turns: Array | np.ndarray = TURNS) -> tuple[Arms, Array]:
-    """Candidates (2, K) of both arms, and by how much (2, K) their shoulders give way."""
-
-    def of_turn(arm: Arms, turn: Array) -> tuple[Arms, Array]:
-        R = arm.R_world_radius
-        return turn_forearm(arm, compose(compose(R, exp(turn)), R.T))
-
-    turns = jnp.asarray(turns, arms.elbow.dtype)
-    return jax.vmap(jax.vmap(of_turn, (None, 0)), (0, None))(arms, turns)
-
-
-def turned_angles(hung: Hung, turns: Array | np.ndarray = TURNS) -> Array:
-    """Joint angles (2, K, 4), shoulder to elbow, of both arms' candidates by turns (K, 3)."""
-    arms, _ = _turn_arms(hung.arms, turns)
-    sides = [jax.vmap(partial(bent, hung, side))(_side(arms, side)) for side in range(2)]
-    return jnp.stack(sides)
-
-
 def candidates(model: Model, settings: ElbowPathSettings, poses: Pose) -> tuple[Arms, Array]:
     """Arms (B, 2, K) of a batch of poses, and what they cost by themselves (B, 2, K), nats."""
     skeleton = model.skeleton
@@ -179,7 +192,7 @@ def candidates(model: Model, settings: ElbowPathSettings, poses: Pose) -> tuple[
 
     def of_pose(pose: Pose) -> tuple[Arms, Array]:
         hung = hang(skeleton, pose, model.grips)
-        (arms, slack), angles = _turn_arms(hung.arms), turned_angles(hung)
+        (arms, slack), angles = turn_arms(hung.arms), turned_angles(hung)
         away = (angles - skeleton.relaxed[dofs][:, None]) / usual[:, None]
         beyond = beyond_limits(ranges[:, None], angles) / settings.beyond_range
         slack = slack / settings.shoulder_slack
@@ -301,7 +314,7 @@ def _draw_arms(
     outlines = project_flesh(skeleton.tree, camera, body, grids.per_metre, bones[kept])
     at = _nearest_limbs(grids.region, outlines, x, y)
     rest, surface = jnp.min(at.distance, 0), nearest_surface(camera, body, at.distance)
-    moved, _ = _turn_arms(arms_of(skeleton, frames, model.grips))
+    moved, _ = turn_arms(arms_of(skeleton, frames, model.grips))
 
     def of_candidate(arm: Arms) -> _DrawnArms:
         limb = flesh(arm)
@@ -314,7 +327,7 @@ def _draw_arms(
         return _DrawnArms(jnp.min(at.distance, 0), shown)
 
     def of_side(arms: Arms, indices: Array) -> _DrawnArms:
-        return jax.vmap(of_candidate)(_side(arms, indices))
+        return jax.vmap(of_candidate)(side_of(arms, indices))
 
     return rest, jax.vmap(of_side)(moved, chosen)
 

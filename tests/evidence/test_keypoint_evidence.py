@@ -49,7 +49,7 @@ from jaxmocap.geometry.cameras import project
 from jaxmocap.pipelines.keypoints.lines import lines_at_events
 from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.smoothing.batch import smooth_recording
-from jaxmocap.smoothing.elbow_viterbi import elbow_goals
+from jaxmocap.smoothing.elbow_viterbi import elbow_path
 from jaxmocap.smoothing.linearise import SmoothedPoses, smooth_poses
 from jaxmocap.smoothing.problem import SmoothingProblem
 from jaxmocap.smoothing.settings import SmoothingSettings
@@ -283,7 +283,9 @@ def test_key_points_make_elbows_sure(by_lines):
 def test_candidates_for_the_elbows_are_priced_by_key_points_too():
     start, expected = disturbed(COUNT, -25.0), points_of(truth(COUNT))[:, ELBOWS]
     without, with_points = (
-        np.linalg.norm(elbow_goals(without_silhouettes(each), start) - expected, axis=-1).mean()
+        np.linalg.norm(
+            elbow_path(without_silhouettes(each), start).goals - expected, axis=-1
+        ).mean()
         for each in (None, lines())
     )
     assert with_points < 0.6 * without

@@ -10,7 +10,7 @@ from painted_motion import SETTINGS, disturbed, elbow_errors, problem, views
 from jaxmocap.body.pose import Pose
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.images.silhouette_grid import Grid
-from jaxmocap.smoothing.elbow_viterbi import elbow_goals
+from jaxmocap.smoothing.elbow_viterbi import elbow_path
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import SmoothingProblem, Views
 
@@ -59,9 +59,9 @@ def test_a_picture_without_weight_misleads_no_solve(picture):
 @pytest.mark.parametrize("picture", PICTURES)
 def test_a_picture_without_weight_prices_no_candidate(picture):
     start = disturbed(COUNT, 40.0)
-    usual = elbow_goals(weighing(misled(picture)), start)
-    led = elbow_goals(weighing(misled(picture), **{picture: 0.0}), start)
-    np.testing.assert_array_equal(led, elbow_goals(weighing(without(picture)), start))
+    usual = elbow_path(weighing(misled(picture)), start).goals
+    led = elbow_path(weighing(misled(picture), **{picture: 0.0}), start).goals
+    np.testing.assert_array_equal(led, elbow_path(weighing(without(picture)), start).goals)
     assert np.linalg.norm(usual - led, axis=-1).mean() > 0.05
 
 

@@ -17,7 +17,7 @@ from painted_motion import CAMERAS, MODEL, PERSON, SETTINGS, disturbed, elbow_er
 
 from jaxmocap.geometry.cameras import project, to_camera, turn_camera
 from jaxmocap.geometry.rotations import exp
-from jaxmocap.smoothing.elbow_viterbi import elbow_goals
+from jaxmocap.smoothing.elbow_viterbi import elbow_path
 from jaxmocap.smoothing.linearise import SmoothedPoses, smooth_poses
 from jaxmocap.smoothing.problem import (
     UNTURNED,
@@ -106,8 +106,8 @@ def test_deviations_are_no_smaller_where_cameras_may_turn():
 
 def test_candidates_for_the_elbows_are_priced_by_the_turned_cameras():
     poses, none = start(True).poses, start(False).proportions
-    true = elbow_goals(misstated((0, 1), 0 * TURNS), Trajectory(poses, none))
-    actual = elbow_goals(misstated((0, 1)), Trajectory(poses, none, TURNS))
+    true = elbow_path(misstated((0, 1), 0 * TURNS), Trajectory(poses, none)).goals
+    actual = elbow_path(misstated((0, 1)), Trajectory(poses, none, TURNS)).goals
     assert (np.linalg.norm(actual - true, axis=-1) < 1e-3).mean() > 0.9
 
 

@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from jax import Array
 from painted_motion import ELBOWS, MODEL, PERSON, points_of, problem, truth, views
 
-from jaxmocap.body.arms import arm_dofs, bent, hang, swing
+from jaxmocap.body.arms import arm_dofs, bent, hang, swing, turn_pose
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import PROPORTIONS
-from jaxmocap.smoothing.elbow_viterbi import cheapest_path, elbow_goals
+from jaxmocap.smoothing.elbow_viterbi import cheapest_path, elbow_path, turn_forearms
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import Trajectory, Views
 from jaxmocap.smoothing.settings import ElbowPathSettings
@@ -50,7 +50,7 @@ def swivelled(degrees: tuple[float, float]) -> Pose:
 def goals_from(poses: Pose, shown: Views | None = None) -> np.ndarray:
     """Where the cheapest paths take the elbows, (T, 2, 3)."""
     given = problem(COUNT, views(COUNT) if shown is None else shown)
-    return elbow_goals(given, Trajectory(poses, NO_CHANGE))
+    return elbow_path(given, Trajectory(poses, NO_CHANGE)).goals
 
 
 def off(elbows: np.ndarray) -> np.ndarray:
@@ -136,9 +136,33 @@ def test_goals_lead_a_solve_out_of_a_valley_that_it_would_not_leave_alone():
     assert actual.cost < 0.8 * alone.cost
 
 
+def test_a_forearm_that_points_the_other_way_is_turned_to_its_goals_before_a_solve():
+    """With one hand unmarked for two seconds the other elbow stayed 45 cm off for one."""
+    away, given = (
+        np.radians([[0, 0, 0], [0, -150, 0]]).astype(np.float32),
+        problem(COUNT, views(COUNT)),
+    )
+    turned = jax.vmap(lambda pose: turn_pose(PERSON, pose, GRIPS, away))
+    start = Trajectory(
+        jax.tree.map(np.asarray, turned(on_device(truth(COUNT), jnp.float32))), NO_CHANGE
+    )
+    path = elbow_path(given, start)
+    there = turn_forearms(MODEL, start, path.turns)
+    apart = points_of(there.poses)[:, ELBOWS] - path.goals
+    assert np.linalg.norm(apart, axis=-1).max() < 0.1
+    guided = given.with_measured(elbows=path.goals)
+    told, put = (smooth_poses(guided, each, (1.5,)).trajectory for each in (start, there))
+    left, led = (off(points_of(each.poses)[:, ELBOWS])[:, 1] for each in (told, put))
+    assert left.max() > 0.2 and led.max() < 0.08
+
+
 def test_frames_without_a_view_have_no_goals():
     there = np.array([0, 1, 5, 6])
-    goals = goals_from(truth(COUNT), views(COUNT, frames=there))
+    path = elbow_path(
+        problem(COUNT, views(COUNT, frames=there)), Trajectory(truth(COUNT), NO_CHANGE)
+    )
+    np.testing.assert_array_equal(path.turns[[2, 4]], path.turns[[1, 5]])
+    goals = path.goals
     assert np.isfinite(goals[there]).all()
     assert np.isnan(np.delete(goals, there, 0)).all()
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxmocap.body.arms import TURNS, arm_dofs, hang
+from jaxmocap.body.arms import TURNS, turn_pose
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, pack, unpack
 from jaxmocap.evidence.keypoints import SightLines
@@ -24,7 +24,6 @@ from jaxmocap.smoothing.elbow_viterbi import (
     candidates,
     lone_costs,
     price_off_lines,
-    turned_angles,
 )
 from jaxmocap.smoothing.settings import SmoothingSettings
 
@@ -93,12 +92,9 @@ def search_arms(
 
 def with_arm_there(model: Model, poses: Array, found: ArmSearch) -> Array:
     """Packed poses (T, 7 + D), the arm of each turned as was found, about its grip."""
-    dofs = jnp.asarray(arm_dofs(model.skeleton.tree))[found.side]
+    turns = jnp.zeros((2, 3), poses.dtype).at[found.side].set(found.turn)
 
     def one(packed: Array) -> Array:
-        pose = unpack(packed)
-        hung = hang(model.skeleton, pose, model.grips)
-        angles = turned_angles(hung, found.turn[None])[found.side, 0]
-        return pack(pose._replace(angles=pose.angles.at[dofs].set(angles)))
+        return pack(turn_pose(model.skeleton, unpack(packed), model.grips, turns))
 
     return jax.vmap(one)(poses)
