@@ -55,11 +55,11 @@ def _nearest_frames(marker_times: np.ndarray, frame_times: np.ndarray) -> np.nda
     """(T,) index of the frame nearest to each sample, -1 beyond one frame interval."""
     if not len(frame_times):
         return np.full(len(marker_times), -1)
-    nearest, gap = _nearest(frame_times, marker_times)
+    nearest, gap = nearest_times(frame_times, marker_times)
     return np.where(gap <= max(usual_step(frame_times), SIMULTANEOUS_S), nearest, -1)
 
 
-def _nearest(times: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def nearest_times(times: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(K,) index of the time (T,) nearest to each of (K,) others, and how far it is, seconds."""
     after = np.searchsorted(times, at).clip(1, max(len(times) - 1, 1))
     pair = np.stack([after - 1, after.clip(max=len(times) - 1)], 1)
@@ -99,7 +99,7 @@ def _merge(marker_times: np.ndarray, bundle_times: np.ndarray, bundles: np.ndarr
     """One event per sample and per bundle, but one for both where they are simultaneous."""
     count = len(marker_times)
     sample_frames = np.full((count, bundles.shape[1]), -1)
-    nearest, gap = _nearest(marker_times, bundle_times)
+    nearest, gap = nearest_times(marker_times, bundle_times)
     # Of several bundles at one sample the nearest is merged, the others stay by themselves.
     order = np.lexsort((gap, nearest))
     first = np.r_[True, np.diff(nearest[order]) > 0] if len(order) else np.empty(0, bool)

@@ -94,7 +94,6 @@ class KeypointPoses(NamedTuple):
     """T frames by key points."""
 
     poses: Pose  # (T, ...)
-    costs: np.ndarray  # (T,) of each frame's terms
     skeleton: Skeleton  # of the person, its lengths corrected
     lines: SightLines  # (T, ...) with confidences by how much each camera's landmarks scatter
 
@@ -107,11 +106,12 @@ def poses_of_lines(
     lines = jax.tree.map(lambda part: np.asarray(part, skeleton.lengths.dtype), lines)
     counted = (np.asarray(lines.confidences) > 0).sum((1, 2)) >= LEAST_LINES
     rows = np.flatnonzero(counted)
-    found, costs, lines = _cheapest_poses(settings, model, times, lines, rows)
-    nearest = np.abs(rows[None] - np.arange(len(times))[:, None]).argmin(1)
+    found, lines = _cheapest_poses(settings, model, times, lines, rows)
+    # No table of all pairs, which an hour's frames have no memory for.
+    nearest = np.rint(np.interp(np.arange(len(times)), rows, np.arange(len(rows)))).astype(int)
     start = jax.tree.map(lambda part: part[nearest].astype(model.dtype), found)
     if len(times) <= REACH:
-        return KeypointPoses(start, costs[nearest], skeleton, lines)
+        return KeypointPoses(start, skeleton, lines)
     weighted = replace(settings, proportions=settings.proportions * len(times))
     problem = SmoothingProblem(model, weighted, times, measurements(lines), Views.no_cameras())
     prior = smoothness(times, np.full(3 * len(LANDMARKS), float(settings.acceleration)))
@@ -126,7 +126,7 @@ def poses_of_lines(
     lines = weigh_by_scatter(points, lines, float(settings.keypoints.deviation))
     solved = solve(problem.with_measured(sight_lines=lines), solved.x)
     person = solved.x.person(skeleton)
-    return KeypointPoses(solved.x.poses, np.asarray(solved.linear.cost), person, lines)
+    return KeypointPoses(solved.x.poses, person, lines)
 
 
 def _cheapest_poses(
@@ -135,7 +135,7 @@ def _cheapest_poses(
     times: np.ndarray,
     lines: SightLines,
     rows: np.ndarray,
-) -> tuple[Pose, np.ndarray, SightLines]:
+) -> tuple[Pose, SightLines]:
     """Those of some of the frames' minima that make up the cheapest path.
 
     A detector takes left for right now and then, so that the person seems to face the other way:
@@ -149,7 +149,7 @@ def _cheapest_poses(
         rows: (R,) frames that have enough of them.
 
     Returns:
-        Poses (R, ...), their costs (R,), and the lines (T, ...) with sides swapped where they were.
+        Poses (R, ...), and the lines (T, ...) with sides swapped where they were.
     """
     tried = [lines] if lines.confidences.shape[1] > 1 else [lines, swap_sides(lines)]
     call, minima = partial(_minima, settings.terms, model), []
@@ -170,7 +170,7 @@ def _cheapest_poses(
 
     lines = jax.tree.map(with_swapped, tried[0], tried[-1])
     poses = Pose(*(part[own, chosen] for part in parts))  # type: ignore[arg-type]
-    return poses, costs[own, chosen], lines
+    return poses, lines
 
 
 def swap_sides(lines: SightLines) -> SightLines:

@@ -13,7 +13,7 @@ from jaxmocap.cli.program import main
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, write_recording
-from jaxmocap.formats.time_series.trc import read_trc
+from jaxmocap.formats.time_series.trc import read_trc, write_trc
 from jaxmocap.pipelines.silhouettes import demo, track
 from jaxmocap.silhouette.first_pose import standing_pose_at
 from jaxmocap.silhouette.settings import Settings
@@ -170,6 +170,39 @@ def test_one_camera_with_key_points_has_one_pass_unless_lengths_are_corrected(
     with pytest.raises(AskedError) as asked:
         track.track_silhouettes(recording, start, lengths=lengths)
     assert asked.value.args == (expected,)
+
+
+def test_markers_are_followed_where_the_body_moves_their_bones(folder, monkeypatch):
+    class AskedError(Exception):
+        """Instead of passes."""
+
+    def ask(_, __, bundles, *___):
+        raise AskedError([bundle.measured["markers"] for bundle in bundles()])
+
+    recording = Recording.load(folder / "recording.toml")
+    on = {"Head": {"bone": "head"}, "Foot": {"bone": "foot_l"}}
+    write_trc(folder / "m.trc", np.arange(3) / 30, {name: np.ones((3, 3)) for name in on})
+    path = write_recording(
+        folder / "marked.toml", "m.trc", on, VIDEOS, "calibration.toml", {"height": 1.75}
+    )
+    recording, settings = Recording.load(path), Settings(body="torso.toml")
+    start = standing_pose_at(with_joints(recording.skeleton, settings.body), 0.0, 0.0, 0.0)
+    monkeypatch.setattr(track, "run_passes", ask)
+    with pytest.raises(AskedError) as asked:
+        track.track_silhouettes(recording, start, settings, markers=True)
+    followed = np.isfinite(asked.value.args[0]).all(-1)
+    names = list(recording.marker_names)
+    assert followed[:, names.index("Head")].any() and not followed[:, names.index("Foot")].any()
+
+
+def test_one_camera_whose_key_points_show_nobody_is_refused(folder, monkeypatch):
+    recording = Recording.load(folder / "recording.toml")
+    start = standing_pose_at(with_joints(recording.skeleton, Settings.body), 0.0, 0.0, 0.0)
+    one = replace(recording, videos=recording.videos[:1])
+    monkeypatch.setattr(track, "keypoint_guide", lambda *_: None)
+    monkeypatch.setattr(track, "has_keypoints", lambda _: True)
+    with pytest.raises(InputError, match="key points of fewer than 4 landmarks in every frame"):
+        track.track_silhouettes(one, start)
 
 
 @pytest.mark.parametrize(

@@ -256,6 +256,18 @@ def test_torn_black_and_exchanged_frames_are_passed_over_until_patience_ends():
     assert history.accept([None], 0.25, 3)[0] == [None]
 
 
+def test_a_camera_that_begins_black_or_comes_less_often_is_taken_when_it_shows_a_room():
+    rng = np.random.default_rng(0)
+    room, lit = (
+        np.repeat(rng.integers(0, 255, (2, 30, 40, 3)), 16, 1).repeat(16, 2).astype(np.uint8)
+    )
+    history, kept = ImageHistory.empty(1), []
+    for image in (np.full_like(room, 4), room, lit, None, lit, None, lit, None, lit):
+        used, history = history.accept([image], SMALL.changed_share, 3)
+        kept.append(used[0] is not None)
+    assert kept == [False, True, False, False, False, False, False, False, True]
+
+
 def test_a_box_before_a_part_is_recognised_by_its_colour_and_shade_is_not():
     image = np.full((40, 60, 3), (60, 90, 140), np.uint8)
     rows, columns = np.mgrid[10:20, 10:20]

@@ -1,5 +1,7 @@
 """The rim of the surface: index image, outlines, limbs before the trunk."""
 
+from dataclasses import replace
+
 import cv2
 import jax
 import jax.numpy as jnp
@@ -255,3 +257,22 @@ def test_contour_normals_in_space_are_seen_as_in_the_image():
     moved = np.diff(np.asarray(PROJECT(stack_cameras([camera]), both))[0], axis=0)[0]
     moved = moved / np.linalg.norm(moved, axis=1, keepdims=True)
     assert np.all(np.sum(moved * np.asarray(ways), 1) > 0.99)
+
+
+@pytest.mark.parametrize("moved", [(0.0, 0.0, 1.2), (0.0, 0.0, -1.2), (6.0, 0.0, 0.0)])
+@pytest.mark.parametrize("distortion", [(0.0, 0.0), (-0.1, 0.02)])
+def test_what_cameras_do_not_show_has_no_rim(finder, moved, distortion):
+    """Partly beside the image, and behind a camera, where lenses' polynomials fold points back."""
+    bent_lenses = [
+        replace(camera, distortion=camera.distortion.at[:2].set(jnp.asarray(distortion)))
+        for camera in ring(4)
+    ]
+    cameras, off = stack_cameras(bent_lenses), np.zeros(BODY.costs.shape, np.float32)
+    off[:3] = moved
+    shown = finder.find(
+        finder.initial_shape, retract(relaxed_pose(BODY), jnp.asarray(off)), cameras
+    )
+    kept, size = shown.pixels_xy[shown.valid], np.asarray(cameras.size[0])
+    assert 0 < shown.valid.mean() < 0.9
+    assert (kept > -0.5).all() and (kept < size - 0.5).all()
+    assert np.max(shown.region.scale) < 2000

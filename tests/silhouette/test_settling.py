@@ -1,5 +1,7 @@
 """Segmentation and pose in turn: when they have settled, and low-passes cycle by cycle."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from test_rim import BODY
@@ -22,16 +24,20 @@ def circle(radius: float, points: int, phase: float = 0.0) -> Contour:
 
 def test_contours_are_apart_by_what_they_moved_across_however_they_were_sampled():
     one = [circle(50.0, 400), NOTHING]
-    assert contours_apart(one, [circle(50.0, 300, 0.1), NOTHING]) < 0.01
-    assert contours_apart(one, [circle(52.0, 300, 0.1), NOTHING]) == pytest.approx(2.0, abs=0.01)
-    assert contours_apart(one, [circle(50.0, 300), circle(9.0, 50)]) == np.inf
-    assert contours_apart([NOTHING], [NOTHING]) == 0
+    scales, moved = (2.0, 1.0), [circle(52.0, 300, 0.1), NOTHING]
+    assert contours_apart(one, [circle(50.0, 300, 0.1), NOTHING], scales) < 0.01
+    assert contours_apart(one, moved, scales) == pytest.approx(1.0, abs=0.01)
+    assert contours_apart(one, [circle(50.0, 300), circle(9.0, 50)], scales) == np.inf
+    assert contours_apart([NOTHING], [NOTHING], (1.0,)) == 0
 
 
 def test_a_round_has_settled_where_neither_pose_nor_contour_moved():
     pose = relaxed_pose(BODY)
     turned = pose._replace(angles=pose.angles.at[BODY.tree.joint("elbow_flex_l")].add(0.1))
-    near, far = [circle(50.0, 400)], [circle(51.0, 400)]
+    region = SimpleNamespace(scale=(2.0,))
+    near, far = (
+        SimpleNamespace(contours=[circle(radius, 400)], region=region) for radius in (50.0, 51.0)
+    )
     assert has_settled(BODY, (pose, pose), (near, near))
     assert not has_settled(BODY, (pose, turned), (near, near))
     assert not has_settled(BODY, (pose, pose), (near, far))

@@ -108,7 +108,7 @@ def _boxes(recording: Recording, camera: Camera, video: FrameSource) -> np.ndarr
     )
     # As the camera, about the local origin.
     points = landmarks_over_time(motion.skeleton, motion.poses)
-    nearest = np.abs(motion.times - video.times[:, None]).argmin(1)
+    nearest, _ = nearest_times(motion.times, video.times)
     camera, there = on_host(camera), np.asarray(points[nearest], float)
     pixels = project(camera, there)
     visible = np.isfinite(there).all((1, 2)) & (depth(camera, there) > 0).all(1)

@@ -31,11 +31,13 @@ from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.silhouettes.keypoints import (
     LOST,
     KeypointGuide,
+    has_keypoints,
     keypoint_distances,
     keypoint_guide,
     lost_status,
 )
 from jaxmocap.pipelines.tracking.events import elbow_warnings
+from jaxmocap.silhouette.keypoint_poses import LEAST_LINES
 from jaxmocap.silhouette.passes import FrameBundle, PassResult, run_passes
 from jaxmocap.silhouette.segmentation.background_models import background_of_picture
 from jaxmocap.silhouette.settings import Settings
@@ -244,13 +246,18 @@ def _open(
     if guide is not None:
         warnings += guide.warnings
         recording = recording if surface else replace(recording, skeleton=guide.skeleton)
+    elif has_keypoints(recording) and start is not None:
+        problem = f"key points of fewer than {LEAST_LINES} landmarks in every frame"
+        if len(videos) == 1 and not markers:
+            raise recording.error(f"{problem}: one camera without more of them loses the person")
+        warnings.append(f"{problem} are not used")
     positions = None
     if markers:
         places = recording.require_markers().places
         sites = marker_sites(recording.skeleton, places)
         positions = interpolate_markers(recording.times, recording.positions_world, times)
         tree = with_joints(recording.skeleton, settings.body).tree
-        positions = np.where(moved_bones(tree)[sites.bone_indices][:, None], positions, np.nan)
+        positions = np.where(moved_bones(tree)[sites.bones][:, None], positions, np.nan)
     return recording, _Footage(videos, times, indices, positions, guide), tuple(warnings)
 
 

@@ -53,8 +53,8 @@ from jaxmocap.silhouette.surfaces.shape import NodePairs
 # outlines hardly determine, as a hand's turn, moves on by more.
 POSE_M = 0.001
 # Contours have settled where their points lie no farther across those of the round before, on
-# average, pixels.
-CONTOUR_PX = 0.1
+# average, cells of the canvas: pixels of the image are the finer the larger it is.
+CONTOUR_CELLS = 0.05
 _free_pose = Program(without_followers, "free_pose", effort="full")
 
 
@@ -94,9 +94,9 @@ def disagreeing(distances: np.ndarray, real: np.ndarray, apart: float, near: flo
     """(C,) bool: cameras whose pairs lie much farther apart than all cameras' together.
 
     By distances (C, N), metres, of those that are pairs: ``apart`` times as far, unless they are
-    within ``near``, metres.
+    within ``near``, metres. Of two nobody knows which is wrong.
     """
-    if real.any(1).sum() < 2:
+    if real.any(1).sum() < 3:
         return np.zeros(len(real), bool)
     each = np.array(
         [np.median(d[r]) if r.any() else 0.0 for d, r in zip(distances, real, strict=True)]
@@ -167,8 +167,8 @@ def fit_pose(
         before = fitted
         fitted = _run_cycle(constants, body, frame, prior, again, before.result.pose, before)
         poses = before.result.pose, fitted.result.pose
-        contours = before.outlines.contours, fitted.outlines.contours
-        if has_settled(body.shape.skeleton, poses, contours):
+        outlines = before.outlines, fitted.outlines
+        if has_settled(body.shape.skeleton, poses, outlines):
             break
     return fitted
 
@@ -231,29 +231,34 @@ def _pair_contours(
 def has_settled(
     skeleton: Skeleton,
     poses: tuple[Pose, Pose],
-    contours: tuple[Sequence[Contour], Sequence[Contour]],
+    outlines: tuple[Outlines, Outlines],
 ) -> bool:
     """Whether poses and cameras' contours of a round are those of the round before."""
     here, there = (np.asarray(landmark_points(skeleton, pose)) for pose in poses)
     if np.linalg.norm(there - here, axis=1).mean() > POSE_M:
         return False
-    return contours_apart(*contours) <= CONTOUR_PX
+    before, now = outlines
+    return contours_apart(before.contours, now.contours, now.region.scale) <= CONTOUR_CELLS
 
 
-def contours_apart(before: Sequence[Contour], now: Sequence[Contour]) -> float:
-    """Mean distance across the old contours of the new ones' points, pixels, of C cameras.
+def contours_apart(
+    before: Sequence[Contour], now: Sequence[Contour], scales: Sequence[float] | np.ndarray
+) -> float:
+    """Mean distance across the old contours of the new ones' points, cells, of C cameras.
+
+    Cells are ``scales`` (C,) pixels wide.
 
     Infinite where a camera shows the person in only one of the two; 0 where none does.
     """
     apart = []
-    for old, new in zip(before, now, strict=True):
+    for old, new, scale in zip(before, now, scales, strict=True):
         if not len(old.pixels_xy) or not len(new.pixels_xy):
             if len(old.pixels_xy) or len(new.pixels_xy):
                 return np.inf
             continue
         nearest = KDTree(old.pixels_xy).query(new.pixels_xy)[1]
         away = new.pixels_xy - old.pixels_xy[nearest]
-        apart.append(np.abs(np.sum(away * old.normals[nearest], 1)))
+        apart.append(np.abs(np.sum(away * old.normals[nearest], 1)) / scale)
     return float(np.mean(np.concatenate(apart))) if apart else 0.0
 
 
@@ -273,7 +278,8 @@ def information_without(
     moved = np.any(skeleton.tree.carries[ROOT_DOF:][hidden], 0)
     gone = moved[constants.carriers[pairs.nodes]]
     weights = np.where(gone, np.float32(0), pairs.pairs.weights)
-    how = PoseSettings(deviation=s.cycles[-1].deviation, iterations=0)
+    # The pairs have their robust weights already.
+    how = PoseSettings(deviation=s.cycles[-1].deviation, reach=np.inf, iterations=0)
     flat = np.full(skeleton.costs.shape, s.predicted_deviation)
     here = combined_prior(pose, flat, constants.rest_deviations)
     beside = term_evidence(body.model, measured, s)

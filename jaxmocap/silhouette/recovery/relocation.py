@@ -63,7 +63,11 @@ def recover_limbs(
     best = _Relocation(fitted, _project_pose(body, fitted.result.pose, fitted, frame))
     resumed, searched = (), ()
     # Without a background what looks like a person is taken for one, and learned as none.
-    has_backgrounds = all(background is not None for background in frame.backgrounds)
+    has_backgrounds = all(
+        background is not None
+        for background, used in zip(frame.backgrounds, fitted.used, strict=True)
+        if used
+    )
     if s.particles > 1 and has_backgrounds:
         if earlier is not None:
             proposal = recovery.earlier_proposal(limbs, best.projected, earlier.pose)

@@ -39,14 +39,22 @@ class ImageHistory(NamedTuple):
 
         One may differ from the last accepted one in a ``share`` of its cells. After ``patience``
         rejections a camera is accepted again, whatever it shows: somebody switched the light on.
+        An image of one colour, such as a black one, shows nobody and is never used.
         """
         kept, thumbnails, rejections = [], [], []
         for image, last, count in zip(images, self.thumbnails, self.rejections, strict=True):
-            now = None if image is None else thumbnail(image)
-            other = now is not None and last is not None and changed_share(last, now) > share
-            is_rejected = other and count < patience
+            if image is None:
+                # At other cameras' instants a slower one shows nothing, and waits no longer for it.
+                kept.append(None)
+                thumbnails.append(last)
+                rejections.append(count)
+                continue
+            now = thumbnail(image)
+            plain = np.ptp(now, (0, 1)).max() < DIFFERENT_LEVELS
+            other = last is not None and changed_share(last, now) > share
+            is_rejected = plain or (other and count < patience)
             kept.append(None if is_rejected else image)
-            thumbnails.append(last if is_rejected or now is None else now)
+            thumbnails.append(last if is_rejected else now)
             rejections.append(count + 1 if is_rejected else 0)
         return kept, ImageHistory(tuple(thumbnails), tuple(rejections))
 

@@ -62,6 +62,8 @@ def find_outlines(
     )
     if settings.sharpen:
         phi = _sharpen_contours(images, backgrounds, phi, views)
+    # Without an image there is only the prediction.
+    phi[[image is None for image in images]] = -1
     segmentation = segmentation._replace(phi=phi)
     traced = contours(
         segmentation.phi, segmentation.log_ratio, canvases.inside, region, settings.points,

@@ -89,7 +89,7 @@ def sharpen_silhouette(
 
     Without a background, by what is visible beside the person.
     """
-    step = max(1, int(float(region.scale) / FINE))
+    step = max(1, min(int(float(region.scale) / FINE), *image.shape[:2]))
     rows, columns = _box(phi > 0, region, image.shape[:2], step)
     corner = np.array([columns.start, rows.start], np.float32)
     there = Region(np.asarray(region.origin) - corner, region.scale)

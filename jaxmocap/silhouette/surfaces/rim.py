@@ -30,7 +30,12 @@ from jaxmocap.body.surfaces.surface import (
     skin_nodes,
 )
 from jaxmocap.compilation.programs import Program
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, camera_components, pixel_components
+from jaxmocap.geometry.cameras import (
+    NEAREST_M,
+    Camera,
+    camera_components,
+    pixel_components_anywhere,
+)
 from jaxmocap.images.regions import Region, region_around
 from jaxmocap.silhouette.surfaces.body_shape import FULL, BodyShape
 from jaxmocap.silhouette.surfaces.index_image import (
@@ -70,7 +75,7 @@ class Rim(NamedTuple):
     pixels_xy: np.ndarray  # (C, R, 2) their projections, in the full image
     normals: np.ndarray  # (C, R, 2) unit vectors in the image, out of the body
     inner: np.ndarray  # (C, R) is it a boundary between limbs, which no mask shows?
-    valid: np.ndarray  # (C, R) False for padding
+    valid: np.ndarray  # (C, R) False for padding, and beyond the image's border
     masks: np.ndarray  # (C, size, size) uint8 of the body on the canvases
     region: Region  # the canvases' places in the images
 
@@ -81,6 +86,7 @@ class ProjectedNodes(NamedTuple):
     u: Any  # (C, M) pixel's column in the whole image
     v: Any  # (C, M) its row
     depth: Any  # (C, M) metres
+    shown: Any  # (C, M) is it within the image?
     places: Any  # (C, M) on the canvas
     keys: Any  # (C, M) for ``index_image``
     region: Region  # of the canvases
@@ -95,14 +101,17 @@ def on_canvases(
     def one(camera: Camera) -> ProjectedNodes:
         at_cam = camera_components(camera, x, y, z)
         depth = jnp.maximum(at_cam[2], NEAREST_M)
-        u, v = pixel_components(camera, at_cam[0] / depth, at_cam[1] / depth)
+        # Polynomials of a lens fold nodes that are far outside back into the image.
+        u, v = pixel_components_anywhere(camera, at_cam[0] / depth, at_cam[1] / depth)
         corners = jnp.stack([jnp.stack([jnp.min(u), jnp.min(v)]),
                              jnp.stack([jnp.max(u), jnp.max(v)])])  # fmt: skip
         region = region_around(corners, settings.size, settings.margin, settings.finest)
         column = (u - region.origin[0]) / region.scale - 0.5
         row = (v - region.origin[1]) / region.scale - 0.5
         places, keys = node_keys(column, row, depth, settings.size)
-        return ProjectedNodes(u, v, depth, places, keys, region)
+        width, height = camera.size[0], camera.size[1]
+        shown = (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
+        return ProjectedNodes(u, v, depth, shown, places, keys, region)
 
     return jax.vmap(one)(cameras)
 
@@ -144,6 +153,8 @@ class RimTracer:
             nodes[rows], normals[rows], real[rows] = part.nodes, part.normals, True
         nodes = self._outermost(nodes, normals, projected)
         pixels = np.stack([projected.u[nodes], projected.v[nodes]], 1)
+        # Of what is cut off there is no contour to lie on.
+        real &= projected.shown[nodes]
         is_inner = np.arange(len(nodes)) >= s.outer
         return nodes, pixels, normals.astype(pixels.dtype), is_inner, real, mask
 
