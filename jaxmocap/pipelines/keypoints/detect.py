@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxmocap.body.motion import landmarks_over_time
+from jaxmocap.capture.timeline import nearest_times
 from jaxmocap.capture.video import FrameSource, open_video
 from jaxmocap.formats.cameras.toml_sections import replace_entries_of_each, rewrite_toml
 from jaxmocap.formats.files.errors import InputError

@@ -109,7 +109,8 @@ class LimbRecovery:
         """Prepare for C cameras (stacked); traces once."""
         self._skeleton, self._cameras, self._particles = skeleton, cameras, particles
         self.projector = BodyProjector(skeleton, surface, cameras)
-        self.limbs = tuple(limb_chains(skeleton, surface).values())
+        chains = limb_chains(skeleton, surface)
+        self.limbs = tuple(chains.values())
         halves = [half for limb in self.limbs for half in halves_of(limb)]
         self._halves = LimbChain(*(np.stack(part) for part in zip(*halves, strict=True)))
         bones = [half.bones[half.radii > 0] for half in halves]
