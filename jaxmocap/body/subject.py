@@ -48,7 +48,8 @@ def scale_to_landmarks(skeleton: Skeleton, landmarks: dict[str, np.ndarray]) -> 
         landmarks: name (of ``LANDMARKS``) to (T, 3) positions, metres, Z up; NaN where missing.
 
     Raises:
-        ValueError: an unknown landmark, or one that is needed (neck, hips, shoulders) has no data.
+        ValueError: an unknown landmark, or one that is needed (neck, hips, shoulders) has no data;
+            hips and shoulders on opposite sides.
     """
     unknown = sorted(set(landmarks) - set(LANDMARKS))
     if unknown:
@@ -87,6 +88,7 @@ def _height(
     """Body height, metres: from vertex to ankles where both are measured, else from the limbs.
 
     The limbs' height is the median of those at which the table's limbs are as long as the measured.
+    Without any it is that of trunk, neck and head, as far up as they were measured.
     """
     table = proportions_of(JOINT_CENTRES)
     if {"vertex", "ankle_l", "ankle_r"} <= set(landmarks):
@@ -99,6 +101,14 @@ def _height(
         for (part, _), length in measured.items()
         if length is not None and part != "foot"
     ]
+    pelvis, parts = (landmarks["hip_l"] + landmarks["hip_r"]) / 2, table["lengths"]
+    for top, usual in (
+        ("vertex", parts["trunk"] + parts["neck_head"]),
+        ("neck", parts["trunk"]),
+    ):
+        length = _distance({**landmarks, "pelvis": pelvis}, "pelvis", top)
+        if not ratios and length is not None:
+            ratios = [length / usual]
     return float(np.clip(np.median(ratios), 0.5, 2.5)) if ratios else 1.75
 
 
@@ -122,6 +132,13 @@ def _trunk_vectors(landmarks: dict[str, np.ndarray]) -> dict[tuple[str, ...], np
     for side in "lr":
         vectors[(f"clavicle_{side}",)] = vector(landmarks["neck"], landmarks[f"shoulder_{side}"])
         vectors[(f"hip_{side}",)] = vector(pelvis, landmarks[f"hip_{side}"])
+    for part in ("clavicle", "hip"):
+        across = vectors[(f"{part}_l",)][1] - vectors[(f"{part}_r",)][1]
+        if across <= 0:
+            raise ValueError(
+                "found hips and shoulders on opposite sides, or in one place: expected left "
+                "landmarks on the left of right ones"
+            )
     return vectors
 
 

@@ -230,7 +230,29 @@ def test_what_no_landmark_tells_follows_from_the_limbs(skeleton):
     np.testing.assert_allclose(guessed.lengths, person.lengths, atol=1e-4)
 
 
-@pytest.mark.parametrize("needed", ["neck", "hip_l", "hip_r", "shoulder_l", "shoulder_r"])
+NEEDED = ("neck", "hip_l", "hip_r", "shoulder_l", "shoulder_r")
+
+
+@pytest.mark.parametrize("more", [(), ("vertex",)])
+def test_without_limbs_the_trunk_tells_the_height(skeleton, more):
+    person = Skeleton.human(1.45)
+    points = {name: standing(person)[name][None] for name in (*NEEDED, *more)}
+    guessed = scale_to_landmarks(skeleton, points)
+    np.testing.assert_allclose(guessed.lengths, person.lengths, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "sides", [("hip_r", "hip_l"), ("shoulder_r", "shoulder_l"), ("hip_l",) * 2]
+)
+def test_left_and_right_exchanged_in_a_static_trial_are_refused(skeleton, sides):
+    points = {name: point[None] for name, point in standing(skeleton).items()}
+    part = sides[0].split("_")[0]
+    left, right = (points[name] for name in sides)
+    with pytest.raises(ValueError, match="hips and shoulders on opposite sides, or in one place"):
+        scale_to_landmarks(skeleton, points | {f"{part}_l": left, f"{part}_r": right})
+
+
+@pytest.mark.parametrize("needed", NEEDED)
 def test_a_trial_without_trunk_is_refused(skeleton, needed):
     points = {name: point[None] for name, point in standing(skeleton).items()}
     points[needed] = np.full((1, 3), np.nan)

@@ -1,8 +1,10 @@
 """What a T or an I pose tells of body and devices, and the live file that takes it."""
 
+import re
 import tomllib
 from codecs import BOM_UTF8
 from dataclasses import replace
+from importlib.resources import files
 from io import StringIO
 from pathlib import Path
 from threading import Event, Thread
@@ -25,6 +27,7 @@ from jaxmocap.calibration.devices.standing import (
     Stance,
     StandingError,
     calibrate_standing,
+    stand,
 )
 from jaxmocap.capture.streams.sample_assembly import MarkerMeasurements, MarkerSample
 from jaxmocap.capture.streams.udp import OscTable
@@ -108,6 +111,26 @@ def test_offsets_in_the_devices_own_axes_change_no_length():
     result = calibrate_standing(places, positions, R, "t", person(1.75))
     assert result.lengths == pytest.approx(expected.lengths, abs=1e-6) and not result.warnings
     np.testing.assert_allclose(result.offsets["Waist"], expected.offsets["Waist"], atol=1e-6)
+
+
+def test_what_is_worn_above_the_eyes_tells_no_stature_without_a_warning():
+    positions, R, _ = devices_of(person(1.75), "t", 0.0, 1.75, np.random.default_rng(0))
+    hat = [MarkerPlace("Hat", "head"), *PLACES[1:]]
+    (warning,) = calibrate_standing(hat, positions, R, "t", person(1.75)).warnings
+    assert "Hat is stated to be 10 cm above the eyes" in warning
+
+
+@pytest.mark.parametrize("height", [1.5, 1.75, 1.95])
+def test_the_pages_put_a_headset_at_the_eyes(height):
+    docs, stated = files("jaxmocap") / "docs", set()
+    for page in ("start_vr.md", "live_file.md", "recording_file.md", "programs.md"):
+        text = (docs / page).read_text(encoding="utf-8")
+        stated |= set(re.findall(r'bone = "head", at = ([\d.]+), offset = \[0.1, ', text))
+    standing = stand(person(height), "i")
+    for at in stated:
+        eyes = standing.point(MarkerPlace("Hmd", "head", float(at)))[2]
+        assert eyes == pytest.approx(EYE_HEIGHT * height, abs=0.01)
+    assert stated
 
 
 def test_a_stated_body_keeps_its_lengths():

@@ -30,6 +30,8 @@ Stance = Literal["t", "i"]
 STANCE_ANGLES_DEG: dict[Stance, dict[str, float]] = {"t": T_POSE, "i": {}}
 # Height of the eyes by stature (Winter 2009, figure 4.1, after Drillis and Contini 1966).
 EYE_HEIGHT = 0.936
+# What is worn farther above or below the eyes, by its stated place, is no headset, metres.
+NEAR_EYES_M = 0.08
 # Statures that are believed, metres: beyond them the floor is not where the devices have it.
 HEIGHT_RANGE_M = (1.0, 2.3)
 # Arms differ from the tables' by less than this share.
@@ -123,6 +125,8 @@ def calibrate_standing(
         if np.isfinite(R).all():
             R_world_bone = R_world_body @ standing.R_body_bone[body.tree.bone(place.bone)]
             orientations[place.name] = tuple(quaternions(R_world_bone.T @ R).tolist())
+    if height is not None:
+        _check_headset(places, standing, height, warnings)
     offsets = _offsets(places, positions_world, R_world_body, standing, warnings)
     return StandingCalibration(height, lengths, orientations, offsets, tuple(warnings))
 
@@ -211,6 +215,20 @@ def _stature(places: Sequence[MarkerPlace], positions: np.ndarray) -> float | No
             "that sends"
         )
     return height
+
+
+def _check_headset(
+    places: Sequence[MarkerPlace], standing: _Stand, height: float, warnings: list[str]
+) -> None:
+    """Warn of a marker on the head whose stated place is not the eyes' height."""
+    for place in places:
+        stated, eyes = standing.site(place)[2], EYE_HEIGHT * height
+        if place.bone == "head" and abs(stated - eyes) > NEAR_EYES_M:
+            warnings.append(
+                f"{place.name} is stated to be {100 * abs(stated - eyes):.0f} cm "
+                f"{'above' if stated > eyes else 'below'} the eyes, and the stature was found as "
+                "if it were at them: state the height in [subject], or at = 0.4 of a headset"
+            )
 
 
 def _arm_lengths(
