@@ -27,6 +27,7 @@ from jaxmocap.synthetic.movements.splines import KeyStance
 from jaxmocap.synthetic.people.figure import unit
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
+from jaxmocap.synthetic.photographs import rest_height
 from jaxmocap.synthetic.recording import write_performance, write_table_tennis, write_video
 
 ELBOWS = ("elbow_l", "elbow_r")
@@ -132,18 +133,20 @@ def exercises(
         seeds: each of its own clothes, rooms and movement.
         people: of the file.
         seconds: of each recording.
-        keep: holds a folder for each, such as ``push_ups_000_man_3s``.
+        keep: holds a folder for each, such as ``push_ups_000_man_1.748m_3s``.
         girdle: how far shoulders go with raised arms; without it they stay on the chest.
     """
     clips = []
     for kind, who, seed in product(names, people, seeds):
-        name = f"{kind}_{seed:03d}_{who}_{seconds:g}s" + ("_girdle" if girdle else "")
+        rig = load_rig(file, who, seed)
+        height = rest_height(rig)
+        name = f"{kind}_{seed:03d}_{who}_{height:.3f}m_{seconds:g}s" + ("_girdle" if girdle else "")
         path = keep / name / "recording.toml"
         # Written last: where it is, all is.
         if not path.is_file():
-            performer = exercise(load_rig(file, who, seed), kind, seconds, seed, girdle)
+            performer = exercise(rig, kind, seconds, seed, girdle)
             with progress_bar(f"rendering {name}", True) as show:
-                write_four_cameras(path.parent, performer, seconds, seed, progress=show)
+                write_four_cameras(path.parent, performer, seconds, seed, height, show)
         clips.append(Clip(kind, name, path, {mark: mark for mark in LANDMARKS}, seed))
     return clips
 

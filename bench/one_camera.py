@@ -181,9 +181,8 @@ def means(rows: list[Metric]) -> list[Metric]:
     for key in dict.fromkeys((r.name.split(", ")[0], r.name.split(", ")[-1]) for r in rows):
         same = [r for r in rows if (r.name.split(", ")[0], r.name.split(", ")[-1]) == key]
         values = [r.value for r in same]
-        result.append(
-            Metric(f"{key[0]}, all {len(values)}, {key[1]}", float(np.mean(values)), same[0].unit)
-        )
+        name, mean = f"{key[0]}, all {len(values)}, {key[1]}", float(np.mean(values))
+        result.append(replace(same[0], name=name, value=mean))
     return result
 
 

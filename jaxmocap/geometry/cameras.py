@@ -131,8 +131,8 @@ def lens_problem(
         return "matrix", f"{found} positive focal lengths and a last row of 0 0 1"
     if not (focal <= LARGEST_FOCAL).all():
         return "matrix", f"{found} focal lengths up to {LARGEST_FOCAL:g}"
-    if not (np.abs(matrix[[0, 1], [1, 0]]) <= focal.max()).all():
-        return "matrix", f"{found} a skew below the focal lengths"
+    if not abs(matrix[0, 1]) <= focal.max() or matrix[1, 0] != 0:
+        return "matrix", f"{found} a skew below the focal lengths, and 0 on the left of them"
     if not (np.abs(matrix[:2, 2]) <= LARGEST_SIZE).all():
         return "matrix", f"{found} a principal point within {LARGEST_SIZE} pixels"
     for name, value in zip(LENSES[lens].coefficients, distortion.tolist(), strict=False):

@@ -28,8 +28,9 @@ from jaxmocap.calibration.fitting.camera_plan.placement import (
 )
 from jaxmocap.cli.setup import plan
 from jaxmocap.geometry.cameras import Camera, camera_of_fov
+from jaxmocap.geometry.lenses import BROWN_CONRADY, FISHEYE, LENSES
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.pipelines.planning.requirements import Requirements
+from jaxmocap.pipelines.planning.requirements import Requirements, fov_across_deg
 from jaxmocap.pipelines.planning.results import in_words
 from jaxmocap.pipelines.planning.subject import Subject, drawn_subject, movement_of, settings_for
 from jaxmocap.synthetic.drawing_camera import look_at
@@ -229,3 +230,13 @@ def test_a_zoom_lens_is_the_wider_one_with_room_to_zoom():
     half = float(wide.size[0]) / 2 / float(wide.matrix[0, 0])
     assert np.degrees(2 * np.arctan(half)) == pytest.approx(90.0, abs=1e-3)
     assert np.degrees(2 * np.arctan(half / np.exp(zoom))) == pytest.approx(30.0, abs=1e-3)
+
+
+def test_a_fisheye_s_field_of_view_is_its_own():
+    size, matrix = (1200, 900), np.array([[350.0, 0, 600], [0, 350, 450], [0, 0, 1]])
+    cameras = [
+        Camera.create(size, matrix, (), np.eye(3), np.zeros(3), lens=lens) for lens in LENSES
+    ]
+    found = {camera.lens: fov_across_deg(camera) for camera in cameras}
+    assert found[FISHEYE] == pytest.approx(np.degrees(1200 / 350))
+    assert found[BROWN_CONRADY] == pytest.approx(np.degrees(2 * np.arctan(600 / 350)))

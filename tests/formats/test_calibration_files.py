@@ -1,5 +1,6 @@
 """Calibration files: one section changed and nothing else, OpenCV's YAML read as TOML is."""
 
+import re
 import tomllib
 from codecs import BOM_UTF8
 
@@ -165,6 +166,15 @@ def test_what_filestorage_writes_is_read_to_the_last_digit(
     R, _ = cv2.Rodrigues(rvec)
     np.testing.assert_allclose(camera.T_cam_world[:3, :3], R, atol=2e-6)
     np.testing.assert_allclose(camera.T_cam_world[:3, 3], [0.5, -1, 3])
+
+
+def test_coefficients_that_are_all_0_beyond_a_lens_s_own_change_nothing(tmp_path):
+    """OpenCV and what writes its numbers into TOML have up to 14."""
+    path = tmp_path / "c.toml"
+    write_camera(path, "cam", LENS.entries())
+    entries = f"distortions = {[0.1] + 13 * [0.0]}"
+    path.write_text(re.sub(r"distortions = \[.*?\]", entries, path.read_text(), flags=re.DOTALL))
+    np.testing.assert_array_equal(read_intrinsics(path, "cam").distortions, [0.1] + 7 * [0.0])
 
 
 def test_the_older_header_and_tilted_zeros_are_read(tmp_path):

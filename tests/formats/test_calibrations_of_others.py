@@ -1,6 +1,7 @@
 """Calibrations of other systems become ours: the same points fall on the same pixels."""
 
 import pickle
+import re
 import tomllib
 from functools import partial
 
@@ -277,6 +278,17 @@ def test_a_folder_of_easymocap_needs_both_files(tmp_path):
     convert_calibration(tmp_path, tmp_path / "ours.toml", size=SIZE)
     (tmp_path / "extri.yml").unlink()
     assert "extri.yml: no such file" in refused(tmp_path, tmp_path / "ours.toml", size=SIZE)
+
+
+def test_the_file_of_easymocap_that_is_named_is_read(tmp_path):
+    easymocap(tmp_path, CAMERAS)
+    text, target = (tmp_path / "intri.yml").read_text(), tmp_path / "ours.toml"
+    convert_calibration(tmp_path / "intri.yml", target, size=SIZE)
+    focal = float(read_calibration(target)["cam_1"].matrix[0, 0])
+    changed = re.sub(r"(K_cam_1:.*?data: *\[ *)[^,]+,", r"\g<1>1234.,", text, flags=re.DOTALL)
+    (tmp_path / "intri_new.yml").write_text(changed)
+    convert_calibration(tmp_path / "intri_new.yml", target, size=SIZE)
+    assert float(read_calibration(target)["cam_1"].matrix[0, 0]) == 1234 != focal
 
 
 def test_the_command_says_what_it_read_and_wrote(tmp_path, capsys, refusal):

@@ -155,6 +155,7 @@ def test_vicons_polynomial_and_its_centre_are_bounded(tmp_path):
         ({"matrix": np.diag([1e39, 500, 1])}, "focal lengths up to 1e\\+08"),
         ({"matrix": [[500, 0, 1e24], [0, 500, 240], [0, 0, 1]]}, "principal point within 65536"),
         ({"matrix": [[500, 1e9, 320], [0, 500, 240], [0, 0, 1]]}, "a skew below"),
+        ({"matrix": [[500, 0, 320], [300, 500, 240], [0, 0, 1]]}, "and 0 on the left of them"),
         ({"distortion": [0, 0, 1e3]}, "p1 = 1000, expected none beyond 100"),
         ({"distortion": [1e39], "lens": "fisheye"}, "k1 = 1e\\+39"),
         ({"distortion": [np.nan]}, "k1 = nan"),

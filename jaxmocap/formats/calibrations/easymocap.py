@@ -29,7 +29,12 @@ def read(source: Source) -> SourceCalibration | None:
             return None
     elif not any(key.startswith(("K_", "T_")) for key in source.yaml):
         return None
-    lenses, places = (regular_file(folder / name) for name in (INTRINSICS, EXTRINSICS))
+    files = {"K_": folder / INTRINSICS, "T_": folder / EXTRINSICS}
+    # The file that was named has its part, whatever it is called.
+    for part in files:
+        if folder != source.path and any(key.startswith(part) for key in source.yaml):
+            files[part] = source.path
+    lenses, places = map(regular_file, files.values())
     of_lenses, of_places = read_entries(lenses), read_entries(places)
     cameras = []
     for name in (key.removeprefix("K_") for key in of_lenses if key.startswith("K_")):

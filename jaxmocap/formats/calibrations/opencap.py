@@ -69,7 +69,7 @@ def _camera(path: Path, table: Any) -> tuple[str, TomlTable]:
     section = {
         "size": flat["imageSize"][::-1].tolist(),
         "matrix": flat["intrinsicMat"].reshape(3, 3).tolist(),
-        "distortions": (distortions if distortions[8:].any() else distortions[:8]).tolist(),
+        "distortions": distortions.tolist(),
         "rotation": flat["rotation"].reshape(3, 3).tolist(),
         "translation": flat["translation"].tolist(),
     }

@@ -160,8 +160,6 @@ def _section(
     in_metres = UNITS[unit]
     lens = read_lens(fields)
     R_cam_source, translation = read_place(fields, UNIT_NAMES[unit], FARTHEST_M / in_metres)
-    if abs(lens.matrix[1, 0]) > 0:
-        raise fields.error("matrix", f"found {lens.matrix.tolist()}, expected an upper triangle")
     return replace(lens, distortions=shortest(lens.distortions)).entries() | {
         "rotation": Rotation.from_matrix(R_cam_source @ R_world_source.T).as_rotvec(),
         "translation": translation * in_metres,

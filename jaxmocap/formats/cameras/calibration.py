@@ -152,6 +152,11 @@ def read_lens(fields: TomlTable) -> Intrinsics:
     counts = [(n,) for n in range(len(names) + 1)]
     distortions = np.zeros(0)
     if "distortions" in fields:
+        entry = fields.entries["distortions"]
+        if isinstance(entry, list) and not fisheye and not any(entry[len(names) :]):
+            # Later coefficients that are all 0 change nothing: OpenCV writes up to 14.
+            cut = fields.entries | {"distortions": entry[: len(names)]}
+            fields = TomlTable(fields.path, fields.where, cut)
         distortions = fields.array("distortions", counts, expected)
     lens = Intrinsics(size, matrix, distortions, fisheye)
     if problem := lens_problem(size, matrix, distortions, lens.model):

@@ -117,8 +117,5 @@ def _matrix(path: Path, name: str, entry: Any, flat: bool) -> list:
         expected = "expected rows, cols and as many numbers in data"
         raise InputError(path, f"{name}: is not a complete matrix, {expected}") from None
     if flat and 1 in (rows, columns):
-        # Later coefficients that are all zero change nothing (OpenCV writes up to 14).
-        while len(data) > 8 and data[-1] == 0:
-            data.pop()
         return data
     return [data[i * columns : (i + 1) * columns] for i in range(rows)]

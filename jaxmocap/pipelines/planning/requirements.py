@@ -13,6 +13,7 @@ from jaxmocap.calibration.fitting.camera_plan import placement
 from jaxmocap.calibration.fitting.camera_plan.placement import Bounds, CameraPlace
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.cameras import Camera, camera_of_fov
+from jaxmocap.geometry.lenses import FISHEYE
 
 # Of a usual camera, pixels; its field of view along the longer side, degrees.
 SIZE, FOV_DEG = (640, 480), 60.0
@@ -98,11 +99,14 @@ class Requirements:
 
 def fov_across_deg(camera: Camera) -> float:
     """From left to right, without distortion."""
-    width, focal = float(np.asarray(camera.size)[0]), float(camera.matrix[0, 0])
-    return float(np.degrees(2 * np.arctan(width / 2 / focal)))
+    return _fov_deg(camera, float(np.asarray(camera.size)[0]))
 
 
 def fov_deg(camera: Camera) -> float:
     """Along the longer side, without distortion."""
-    focal = float(camera.matrix[0, 0])
-    return float(np.degrees(2 * np.arctan(float(np.max(np.asarray(camera.size))) / 2 / focal)))
+    return _fov_deg(camera, float(np.max(np.asarray(camera.size))))
+
+
+def _fov_deg(camera: Camera, extent_px: float) -> float:
+    half = extent_px / 2 / float(camera.matrix[0, 0])
+    return float(np.degrees(2 * (half if camera.lens == FISHEYE else np.arctan(half))))
