@@ -110,7 +110,7 @@ class LimbRecovery:
         self._skeleton, self._cameras, self._particles = skeleton, cameras, particles
         self.projector = BodyProjector(skeleton, surface, cameras)
         chains = limb_chains(skeleton, surface)
-        self.limbs = tuple(chains.values())
+        self.names, self.limbs = tuple(chains), tuple(chains.values())
         halves = [half for limb in self.limbs for half in halves_of(limb)]
         self._halves = LimbChain(*(np.stack(part) for part in zip(*halves, strict=True)))
         bones = [half.bones[half.radii > 0] for half in halves]
