@@ -101,13 +101,14 @@ class PinocchioBody:
     Attributes:
         model: with a frame at every bone's joint, named as the bone.
         data: of the model.
-        frames: (B) indices of these frames.
+        translations: (B) of (3,), where these frames are: views of the data, whose every reading
+            through Python takes longer than the kinematics.
         positions: (D) where our degrees of freedom are in its configuration.
     """
 
     model: Any
     data: Any
-    frames: list[int]
+    translations: list[np.ndarray]
     positions: list[int]
 
     @classmethod
@@ -138,7 +139,8 @@ class PinocchioBody:
             frame = pin.Frame(name, carrier, 0, pin.SE3(unmoved, place), pin.FrameType.OP_FRAME)
             frames.append(model.addFrame(frame))
         positions = [model.joints[hinges[dof]].idx_q for dof in range(len(tree.joints))]
-        return cls(model, model.createData(), frames, positions)
+        data = model.createData()
+        return cls(model, data, [data.oMf[frame].translation for frame in frames], positions)
 
     def vector(self, pose: Pose) -> np.ndarray:
         """A pose as Pinocchio's configuration: its quaternions have the real part last."""
@@ -152,7 +154,7 @@ class PinocchioBody:
         import pinocchio as pin
 
         pin.framesForwardKinematics(self.model, self.data, q)
-        return np.array([self.data.oMf[frame].translation for frame in self.frames])
+        return np.array(self.translations)
 
 
 def in_mujoco(skeleton: Skeleton, poses: Pose) -> Callable[[], np.ndarray]:

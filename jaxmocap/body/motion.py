@@ -69,9 +69,11 @@ class Report:
         return np.linalg.norm(self.landmarks_std, axis=-1)
 
     @property
-    def undetermined(self) -> np.ndarray:
-        """(T, L) whether a landmark is not determined within ``UNDETERMINED_M``."""
-        return self.deviations > UNDETERMINED_M
+    def undetermined_shares(self) -> np.ndarray:
+        """(L,) of samples with a deviation, in how many it is above ``UNDETERMINED_M``; or NaN."""
+        counts = np.isfinite(self.deviations).sum(0)
+        above = (self.deviations > UNDETERMINED_M).sum(0)
+        return np.where(counts > 0, above / np.maximum(counts, 1), np.nan)
 
 
 @dataclass(frozen=True)

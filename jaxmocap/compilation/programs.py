@@ -314,9 +314,11 @@ def _surroundings() -> tuple:
 
 @lru_cache
 def _code() -> str:
-    """Of all of this package, and of what it is built on."""
+    """Of all of this package with its tables, and of what it is built on."""
     root = Path(__file__).parents[1]
-    texts = [path.read_bytes() for path in sorted(root.rglob("*.py"))]
+    texts = [
+        path.read_bytes() for kind in ("py", "toml") for path in sorted(root.rglob(f"*.{kind}"))
+    ]
     return _digest(repr([version(name) for name in BUILT_ON])) + _digest(b"\0".join(texts))
 
 

@@ -161,6 +161,12 @@ def plot_stick_figures(path: str | Path, people: Mapping[str, Motion]) -> None:
     """Draw people at the same instants from the side, and how high their feet are (.png, .svg)."""
     figure, axes = new_panels(len(people), 2, (6.4, 2.2), sharex="col", sharey="col")
     joints = {name: motion.joints() for name, motion in people.items()}
+    # Floors need not be at 0: the lowest foot of each is.
+    for each in joints.values():
+        feet = [each[f"{end}_{side}"][:, 2] for end in ("ankle", "toe") for side in "lr"]
+        lowest = float(np.nanmin(feet))
+        for points in each.values():
+            points[:, 2] -= lowest
     highest = max(float(np.nanmax(each["vertex"][:, 2])) for each in joints.values())
     for (name, motion), (stand, heights) in zip(people.items(), axes, strict=True):
         _draw_figures(stand, joints[name], highest)

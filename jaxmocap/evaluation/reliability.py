@@ -16,6 +16,9 @@ from jaxmocap.evaluation.plots import new_panels, save_figure
 
 # Groups of samples, at most; each has so many samples, at least.
 GROUPS, LEAST_SAMPLES = 10, 5
+# Names in a column of the legend, at most.
+LEGEND_ROWS = 16
+STYLES = ("-", "--", ":")
 COLOURS = ("#1557b0", "#c62828", "#2e7d32", "#ef8a17", "#6a1b9a", "#00838f", "#5d4037", "#777777")
 
 
@@ -66,11 +69,12 @@ def plot_reliability(path: str | Path, runs: Mapping[str, Errors]) -> None:
     for number, (name, errors) in enumerate(runs.items()):
         stated, found = stated_and_found(errors)
         colour = COLOURS[number % len(COLOURS)]
+        style = STYLES[number // len(COLOURS) % len(STYLES)]
         x, y = (100 * values for values in reliability_curve(stated, found))
-        left.plot(x, y, "o-", color=colour, label=name, linewidth=1.0)
+        left.plot(x, y, style, marker="o", color=colour, label=name, linewidth=1.0)
         most = max(most, x.max(), y.max())
         share, error = risk_curve(stated, found)
-        right.plot(100 * share, 100 * error, color=colour, label=name)
+        right.plot(100 * share, 100 * error, style, color=colour, label=name)
     left.plot([0, most], [0, most], color="#222222", linewidth=0.8, label="as stated")
     left.set_xlim(0, 1.05 * most)
     left.set_ylim(0, 1.05 * most)
@@ -80,13 +84,20 @@ def plot_reliability(path: str | Path, runs: Mapping[str, Errors]) -> None:
     right.set_ylim(bottom=0)
     right.set_xlabel("samples kept, the surest first [%]")
     right.set_ylabel("their mean error [cm]")
-    left.legend(frameon=False, fontsize="small")
+    # Beside both panels, in columns: over them it covers what is drawn.
+    handles, labels = left.get_legend_handles_labels()
+    columns = 1 + (len(labels) - 1) // LEGEND_ROWS
+    where = "outside right center"
+    figure.legend(handles, labels, loc=where, ncols=columns, frameon=False, fontsize="small")
     save_figure(figure, path)
 
 
 def by_joint(errors: Errors) -> dict[str, Errors]:
-    """Joint -> its own errors, of those that could be compared at all."""
-    stated, compared = errors.deviations, np.asarray(np.isfinite(errors.distances).any(0))
+    """Joint -> its own errors, of those that were compared; where any has deviations, of those."""
+    stated, compared = errors.deviations, np.isfinite(errors.distances)
+    if stated is not None and np.isfinite(stated).any():
+        compared &= np.isfinite(stated).all(-1)
+    compared = np.asarray(compared.any(0))
     return {
         name: Errors(
             (name,), errors.times, errors.offsets[:, j : j + 1],

@@ -77,13 +77,17 @@ class LiveView:
         self._stop.set()
         self._thread.join(CLOSE_TIMEOUT_S)
 
+    def _send_newest(self) -> None:
+        with self._lock:
+            snapshot, self._newest = self._newest, None
+        if snapshot is not None:
+            self._log(snapshot)
+
     def _send(self) -> None:
         try:
             while not self._stop.wait(INTERVAL_S):
-                with self._lock:
-                    snapshot, self._newest = self._newest, None
-                if snapshot is not None:
-                    self._log(snapshot)
+                self._send_newest()
+            self._send_newest()
         # Whatever the viewer's library raises, the run goes on without it.
         except Exception as error:
             self.problem = f"nothing more is shown ({type(error).__name__})"

@@ -130,10 +130,11 @@ class OverlayArtist:
             yield time, canvas
 
     def draw(self, canvas: np.ndarray, time: float) -> None:
-        """Draw the body at that time, in place; beyond the motion only the legend."""
+        """Draw the body at that time, in place; without a pose only the legend."""
         size = max(1, round(min(canvas.shape[:2]) / 480))
         sample = int(np.argmin(np.abs(self.scene.times - time)))
         ends = self.scene.at(time)
+        ends = None if ends is None or not np.isfinite(ends).all() else ends
         if ends is not None:
             if self.uncertainty is not None:
                 for landmark, loop in ellipses_in(self.camera, self.uncertainty, time).items():
@@ -147,7 +148,8 @@ class OverlayArtist:
                 _draw_line(canvas, loop, OUTLINE_COLOURS[tree.segments[bone].side], size)
             self._draw_points(canvas, *ends, sample, size)
         title = f"{time:.2f} s" + ("" if ends is not None else ", no pose")
-        draw_legend(canvas, [(title, JOINT_COLOUR), *self._legend(sample)])
+        legend = [] if ends is None else self._legend(sample)
+        draw_legend(canvas, [(title, JOINT_COLOUR), *legend])
 
     def _legend(self, sample: int) -> list[tuple[str, Colour]]:
         """What the colours, the ellipses and the crosses are."""

@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxmocap.body.motion import UNDETERMINED_M, Motion, Report
+from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.formats.files.writing import write_text
 
@@ -104,13 +104,12 @@ def _summarise_report(times: np.ndarray, report: Report) -> dict:
 
 def _by_landmark(report: Report) -> dict:
     """Landmark -> standard deviation over the three axes, metres; shares of samples."""
-    by_landmark = {}
+    by_landmark, undetermined = {}, report.undetermined_shares
     for i, name in enumerate(LANDMARKS):
         deviations = np.linalg.norm(np.asarray(report.landmarks_std[:, i], float), axis=-1)
-        undetermined = deviations[np.isfinite(deviations)] > UNDETERMINED_M
         by_landmark[name] = {
             "deviation_m": statistics(deviations, {"median": 50, "p95": 95}),
-            "undetermined_share": statistics(undetermined, {})["mean"],
+            "undetermined_share": float(undetermined[i]),
             "from_prior_share": statistics(report.from_prior[:, i], {})["mean"],
         }
     return by_landmark

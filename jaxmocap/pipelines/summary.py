@@ -70,7 +70,7 @@ def _figures(report: Report) -> list[tuple[str, str]]:
         rows.append(("elbows", f"left ± {left:.1f} cm, right ± {right:.1f} cm (median)"))
     without = report.settings.get("deviations_without_m", {})
     rows += [("why", _why(name, without[name])) for name in EXPLAINED if name in without]
-    shares = zip(LANDMARKS, report.undetermined.mean(0), strict=True)
+    shares = zip(LANDMARKS, report.undetermined_shares, strict=True)
     unsure = [f"{name} {share:.0%}" for name, share in shares if share >= LEAST_SHARE]
     if unsure:
         within = f"not determined within {100 * UNDETERMINED_M:.0f} cm"

@@ -99,6 +99,19 @@ def test_other_code_of_the_package_is_traced_by_itself(
     assert len(traced) == 2
 
 
+def test_tables_of_the_package_are_part_of_its_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tracing bakes them in: an edited place of a landmark had no effect with a kept program."""
+    (tmp_path / "compilation").mkdir()
+    monkeypatch.setattr(programs, "__file__", str(tmp_path / "compilation" / "programs.py"))
+    digests = []
+    for name, text in (("code.py", "x = 1"), ("body.toml", "at = 1"), ("body.toml", "at = 2")):
+        (tmp_path / name).write_text(text)
+        digests.append(programs._code.__wrapped__())
+    assert len(set(digests)) == 3
+
+
 def test_a_result_that_json_cannot_describe_is_traced_by_each_start(folder: Path) -> None:
     class Local(NamedTuple):
         doubled: Array

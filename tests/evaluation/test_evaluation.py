@@ -259,6 +259,11 @@ def test_the_reliability_plot_is_a_picture_and_wants_deviations(tmp_path):
     hidden = scattered(0.04)
     hidden.offsets[:, 0] = np.nan
     assert set(by_joint(hidden)) == set(hidden.joints[1:])
+    # So is one of which nothing is stated where others have something, as with ``--paper``.
+    one = scattered(0.04)
+    stated = np.concatenate([one.deviations, np.nan * one.deviations], 1)
+    both = Errors(("elbow_l", "hip_l"), one.times, np.repeat(one.offsets, 2, 1), stated)
+    assert set(by_joint(both)) == {"elbow_l"}
     with pytest.raises(ValueError, match="no joint could be compared"):
         plot_reliability(
             tmp_path / "none.png", by_joint(replace(hidden, offsets=np.nan * hidden.offsets))

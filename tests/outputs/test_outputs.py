@@ -21,7 +21,7 @@ from jaxmocap.body.surfaces.pieces import body_pieces
 from jaxmocap.formats.time_series.mot import read_mot, write_mot
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.solids import limb_solid
-from jaxmocap.outputs import viewer
+from jaxmocap.outputs import overlay, viewer
 from jaxmocap.outputs.ellipses import SIGMAS, ellipses_in, landmark_ellipses, uncertainty_of
 from jaxmocap.outputs.layout import lay_out
 from jaxmocap.outputs.overlay import JOINT_COLOUR, OUTLINE_COLOURS, OverlayArtist, write_overlay
@@ -169,6 +169,33 @@ def test_a_missing_marker_is_not_drawn_and_beyond_the_motion_there_is_no_body(mo
     assert purple[0] > 5 and purple[1] == 0
     assert after[body].any() and not late[body].any()
     assert late[:60].any()
+
+
+def test_without_a_pose_the_legend_says_so_and_states_no_deviation(motion, targets, monkeypatch):
+    position = np.array(motion.poses.position)
+    position[:10] = np.nan
+    gone = motion.poses._replace(position=position)
+    said = []
+    monkeypatch.setattr(overlay, "draw_legend", lambda _, lines: said.append([t for t, _ in lines]))
+    artist = OverlayArtist(make_camera(), replace(motion, poses=gone), targets)
+    for time in (motion.times[4], motion.times[20], motion.times[-1] + 50):
+        artist.draw(artist.canvas(None), float(time))
+    first, during, after = said
+    assert first == [f"{motion.times[4]:.2f} s, no pose"] and after[0].endswith("no pose")
+    assert len(after) == 1 and any("elbow" in text for text in during)
+
+
+def test_shares_of_undetermined_landmarks_are_of_the_samples_that_have_a_deviation(motion):
+    deviations = np.full((SAMPLES, len(LANDMARKS), 3), 0.5)
+    deviations[:10] = np.nan
+    deviations[:, 2] = np.nan
+    report = replace(motion.report, landmarks_std=deviations)
+    shares = report.undetermined_shares
+    assert np.isnan(shares[2]) and (np.delete(shares, 2) == 1).all()
+    written = summarise(replace(motion, report=report))["landmarks"][LANDMARKS[0]][
+        "undetermined_share"
+    ]
+    assert written == shares[0]
 
 
 def test_a_camera_amid_the_body_draws_only_what_is_before_it(motion):

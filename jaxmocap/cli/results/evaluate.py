@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> None:
     from jaxmocap.evaluation.plots import check_picture
     from jaxmocap.evaluation.reliability import by_joint, plot_reliability
     from jaxmocap.evaluation.tables import format_table
-    from jaxmocap.formats.files.errors import InputError
+    from jaxmocap.formats.files.errors import FileError, InputError
 
     if options.out:
         check_picture(options.out, files_read(options))
@@ -55,6 +55,8 @@ def run(options: argparse.Namespace) -> None:
     if options.out:
         try:
             plot_reliability(options.out, by_joint(errors))
+        except FileError:
+            raise
         except ValueError as error:
             raise InputError(options.directory, str(error)) from None
         files.append(options.out)

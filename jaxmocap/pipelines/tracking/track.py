@@ -180,7 +180,7 @@ def track_both(
         "deviations_without_m": deviations_without(left_out or (), recording.marker_names, cameras),
         "deviations": {"calibrated_on": people if tracker.settings.smooth else None},
         "latency": latency if smoother else {},
-        "video_frames": int((events.timeline.frame_index >= 0).any(-1).sum()) if used else 0,
+        "video_frames": _frame_count(events.timeline.frame_index) if used else 0,
         "seconds": {"first pass": passed - began, "second pass": perf_counter() - passed},
     }
     if by_markers:
@@ -190,6 +190,11 @@ def track_both(
     if cutoff:
         ended = ended._replace(poses=_low_pass(events, ended.poses, tracker, cutoff))
     return motions(tracker.model, events, first, ended, clock.milliseconds, plain(figures))
+
+
+def _frame_count(frame_index: np.ndarray) -> int:
+    """How many instants of the videos events (E, C) look at; one may serve several of them."""
+    return len(np.unique(frame_index[(frame_index >= 0).any(-1)], axis=0))
 
 
 def with_sight_lines(opened: Opened, events: RecordingEvents, first: FirstPass) -> FirstPass:
