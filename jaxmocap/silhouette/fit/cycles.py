@@ -238,7 +238,8 @@ def has_settled(
     if np.linalg.norm(there - here, axis=1).mean() > POSE_M:
         return False
     before, now = outlines
-    return contours_apart(before.contours, now.contours, now.region.scale) <= CONTOUR_CELLS
+    scales = np.asarray(now.region.scale)
+    return contours_apart(before.contours, now.contours, scales) <= CONTOUR_CELLS
 
 
 def contours_apart(
