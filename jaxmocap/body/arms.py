@@ -106,6 +106,19 @@ def forearm_turns() -> np.ndarray:
 TURNS = forearm_turns()
 
 
+# About which of its points an arm is turned: the grip, which a marker holds; or, where it carries
+# none, the shoulder with all of the arm, and the elbow with the forearm.
+GRIP, SHOULDER, ELBOW = range(3)
+AT_GRIPS = np.array([GRIP, GRIP], np.int32)
+
+
+def with_pivots(arms: Arms, pivots: Array | np.ndarray) -> Arms:
+    """The same arms, that which they are turned about (2,) in place of their grips."""
+    pivots = jnp.asarray(pivots)[:, None]
+    joint = jnp.where(pivots == SHOULDER, arms.shoulder, arms.elbow)
+    return arms._replace(grip=jnp.where(pivots == GRIP, arms.grip, joint))
+
+
 class Hung(NamedTuple):
     """Arms hung on a fixed trunk, to be moved by their own joints alone (left, right)."""
 
@@ -114,7 +127,7 @@ class Hung(NamedTuple):
     axes: Array  # (2, 4, 3) hinge axes, shoulder to elbow, each in the frame its predecessors leave
     reaches: Array  # (2, 3, 3) vectors along humerus, radius and hand, each in its bone's frame
     grip: Array  # (2, 3) in the forearm's frame, from the elbow
-    arms: Arms  # at the pose that the trunk was taken from
+    arms: Arms  # at the pose that the trunk was taken from, with their pivots for grips
 
 
 def arm_dofs(tree: Tree) -> np.ndarray:
@@ -124,8 +137,10 @@ def arm_dofs(tree: Tree) -> np.ndarray:
     return np.array(rows, np.int32)
 
 
-def hang(skeleton: Skeleton, pose: Pose, grip_sites: Sites) -> Hung:
-    """The arms of a pose, ready to be moved by their own joints alone."""
+def hang(
+    skeleton: Skeleton, pose: Pose, grip_sites: Sites, pivots: Array | np.ndarray = AT_GRIPS
+) -> Hung:
+    """The arms of a pose, ready to be moved by their own joints alone, or about pivots (2,)."""
     bones, dofs = limb_bones(skeleton.tree), arm_dofs(skeleton.tree)
     frames = forward(skeleton, pose)
     arms = arms_of(skeleton, frames, grip_sites)
@@ -145,7 +160,7 @@ def hang(skeleton: Skeleton, pose: Pose, grip_sites: Sites) -> Hung:
         skeleton.axes[dofs],
         reaches,
         rotate(to_radius, arms.grip - arms.elbow),
-        arms,
+        with_pivots(arms, pivots),
     )
 
 
@@ -232,6 +247,8 @@ def flesh(arms: Arms) -> Cones:
 def turn_forearm(arms: Arms, R_turn: Array) -> tuple[Arms, Array]:
     """Turn one forearm (no batch) about its grip; the upper arm follows, the shoulder gives way.
 
+    About another pivot that is where its grip is, see ``with_pivots``.
+
     Args:
         arms: one arm.
         R_turn: (..., 3, 3) in the world, one or many.
@@ -274,9 +291,15 @@ def turned_angles(hung: Hung, turns: Array | np.ndarray = TURNS) -> Array:
     return jnp.stack(sides)
 
 
-def turn_pose(skeleton: Skeleton, pose: Pose, grip_sites: Sites, turns: Array) -> Pose:
-    """A pose whose forearms turn about their grips by (2, 3), radians; 0 leaves an arm alone."""
-    hung, dofs = hang(skeleton, pose, grip_sites), arm_dofs(skeleton.tree)
+def turn_pose(
+    skeleton: Skeleton,
+    pose: Pose,
+    grip_sites: Sites,
+    turns: Array,
+    pivots: Array | np.ndarray = AT_GRIPS,
+) -> Pose:
+    """A pose whose arms turn about their pivots by (2, 3), radians; 0 leaves an arm alone."""
+    hung, dofs = hang(skeleton, pose, grip_sites, pivots), arm_dofs(skeleton.tree)
     angles = jnp.stack([turned_angles(hung, turns[side, None])[side, 0] for side in range(2)])
     moves = jnp.any(turns != 0, -1, keepdims=True)
     return pose._replace(

@@ -37,12 +37,12 @@ from jaxmocap.evidence.posture import MostlyRelaxedPosture, Pelvis, RelaxedPostu
 from jaxmocap.evidence.smoothness import REACH, smoothness
 from jaxmocap.evidence.terms import Measurements, Term, residuals
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.smoothing.elbow_viterbi import cheapest_path
 from jaxmocap.smoothing.levenberg_marquardt import Solution, minimise
 from jaxmocap.smoothing.linearise import linearise_problem, two_workers
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, move_trajectory
 from jaxmocap.solvers.descent import tree_where
 from jaxmocap.solvers.robust import MEDIAN_OF_LENGTHS
+from jaxmocap.solvers.viterbi import cheapest_path
 
 # A frame with fewer lines than this is bridged by the others.
 LEAST_LINES = 4

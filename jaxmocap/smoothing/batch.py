@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import numpy as np
 
+from jaxmocap.body.arms import ELBOW, GRIP, SHOULDER, SIDES
 from jaxmocap.body.model import Model
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
@@ -33,7 +34,7 @@ from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.images.background_model import spread
 from jaxmocap.images.foreground import shrink
 from jaxmocap.images.silhouette_grid import blur_grid
-from jaxmocap.smoothing.elbow_viterbi import elbow_path, turn_forearms
+from jaxmocap.smoothing.elbow_viterbi import elbow_path, turn_arms_along
 from jaxmocap.smoothing.facing import facing_in_time, references
 from jaxmocap.smoothing.linearise import rows_of, smooth_poses
 from jaxmocap.smoothing.problem import (
@@ -58,8 +59,10 @@ FINELY = (0.8,)
 PREPARED = 1e-3
 # Background and colours are learned from so many frames.
 LEARNED_FRAMES = 30
-# So many times candidates decide where the elbows are.
-DECISIONS = 2
+# So many times candidates decide where the elbows are, turned about what the arms' markers hold,
+DECISIONS = (GRIP, GRIP)
+# or, where an arm carries none, first all of it and then its forearm.
+FREE_DECISIONS = (SHOULDER, ELBOW, SHOULDER, ELBOW)
 
 
 class VideoFrames(Protocol):
@@ -157,10 +160,10 @@ def solve_recording(
         views = _views(model, cameras, trajectory)
         return SmoothingProblem(model, settings, first_pass.times, measured, views)
 
-    def decided(problem: SmoothingProblem, trajectory: Trajectory) -> Trajectory:
-        path = elbow_path(problem, trajectory)
+    def decided(problem: SmoothingProblem, trajectory: Trajectory, pivot: int) -> Trajectory:
+        path = elbow_path(problem, trajectory, np.where(unmarked, pivot, GRIP))
         guided = problem.with_measured(elbows=path.goals)
-        start = turn_forearms(model, trajectory, path.turns)
+        start = turn_arms_along(model, trajectory, path)
         return smooth_poses(guided, start, DECIDING, PREPARED).trajectory
 
     poses = first_pass.poses
@@ -171,13 +174,22 @@ def solve_recording(
     problem = measured_about(trajectory)
     trajectory = smooth_poses(problem, trajectory, ROUGHLY, PREPARED, coarse=True).trajectory
     show(0.3)
-    for turn in range(DECISIONS):
-        trajectory = decided(problem, trajectory)
-        show(0.3 + 0.3 * (turn + 1) / DECISIONS)
+    unmarked = unmarked_arms(model, first_pass.markers_world)
+    pivots = FREE_DECISIONS if unmarked.any() else DECISIONS
+    for turn, pivot in enumerate(pivots):
+        trajectory = decided(problem, trajectory, pivot)
+        show(0.3 + 0.3 * (turn + 1) / len(pivots))
     # Better poses teach better what the person looks like.
     problem = measured_about(trajectory)
     show(0.7)
     return SolvedProblem(problem, smooth_poses(problem, trajectory, FINELY).trajectory)
+
+
+def unmarked_arms(model: Model, markers_world: np.ndarray) -> np.ndarray:
+    """(E, 2) which arms carry no marker at events, of markers (E, M, 3), NaN where missing."""
+    tree, is_present = model.skeleton.tree, np.isfinite(markers_world).all(-1)
+    on = [np.isin(model.markers.bones, tree.bones_in("arm", side=side)) for side in SIDES]
+    return np.stack([~(is_present & own).any(-1) for own in on], -1)
 
 
 def _with_usual_legs(

@@ -18,9 +18,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from scipy.spatial.distance import cdist
 
 from jaxmocap.body.arms import (
+    AT_GRIPS,
+    ELBOW,
     TURNS,
     Arms,
     arm_dofs,
@@ -31,6 +32,7 @@ from jaxmocap.body.arms import (
     turn_arms,
     turn_pose,
     turned_angles,
+    with_pivots,
 )
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
@@ -54,6 +56,7 @@ from jaxmocap.images.silhouette_grid import Grid, cells
 from jaxmocap.smoothing.linearise import coarsely, rows_of, views_of
 from jaxmocap.smoothing.problem import UNTURNED, SmoothingProblem, Trajectory, all_turned
 from jaxmocap.smoothing.settings import ElbowPathSettings
+from jaxmocap.solvers.viterbi import cheapest_path
 
 # The candidate that leaves an arm where it is.
 STAY = int(np.argmin(np.sum(TURNS**2, -1)))
@@ -69,12 +72,15 @@ class ElbowPath(NamedTuple):
     """Where the cheapest path takes the elbows at T events."""
 
     goals: np.ndarray  # (T, 2, 3) world, metres; NaN without a view
-    # (T, 2, 3) of the forearms, as of ``TURNS``, radians; without a view those of the nearest event
-    # that has one.
+    # (T, 2, 3) of the arms about their pivots, as of ``TURNS``, radians; without a view those of
+    # the nearest event that has one.
     turns: np.ndarray
+    pivots: np.ndarray  # (T, 2) int32
 
 
-def elbow_path(problem: SmoothingProblem, trajectory: Trajectory) -> ElbowPath:
+def elbow_path(
+    problem: SmoothingProblem, trajectory: Trajectory, pivots: np.ndarray | None = None
+) -> ElbowPath:
     """The cheapest path.
 
     First each arm for itself, the other one where it is. What one then claims may be the other's
@@ -83,7 +89,10 @@ def elbow_path(problem: SmoothingProblem, trajectory: Trajectory) -> ElbowPath:
     Args:
         problem: the recording, with its views.
         trajectory: where the body is so far.
+        pivots: (T, 2) about what arms are turned; all about their grips without it.
     """
+    if pivots is None:
+        pivots = np.tile(AT_GRIPS, (len(problem.times), 1))
     cameras = all_turned(problem.model.cameras, trajectory.turns_cam)
     skeleton = trajectory.person(problem.model.skeleton)
     problem = replace(problem, model=replace(problem.model, cameras=cameras, skeleton=skeleton))
@@ -94,48 +103,50 @@ def elbow_path(problem: SmoothingProblem, trajectory: Trajectory) -> ElbowPath:
     with ThreadPoolExecutor(2, thread_name_prefix="price") as workers:
         there = rows_of(trajectory.poses, frames)
         call = partial(_elbows, problem.model, path_settings)
-        elbows, own = in_batches(call, (there,), VIEWS_A_CALL, workers)
+        at = np.asarray(pivots, np.int32)[frames]
+        elbows, moving, own = in_batches(call, (there, at), VIEWS_A_CALL, workers)
         if "sight_lines" in problem.measured:
             lines = rows_of(problem.measured["sight_lines"], frames)
             deviation = problem.settings.keypoints.deviation
             own += np.asarray(price_off_lines(on_device(elbows), lines, deviation))
         price = partial(_pictures, *coarsely(problem, SOFTNESS), trajectory, workers)
-        alone = own + own[:, ::-1, STAY, None] + price(_lone_costs)
+        alone = own + own[:, ::-1, STAY, None] + price(_lone_costs, (at,))
         paths = [
-            cheapest_path(alone[:, side], elbows[:, side], times, *prices) for side in range(2)
+            cheapest_path(alone[:, side], moving[:, side], times, *prices) for side in range(2)
         ]
         pairs = [np.stack([np.full_like(path, STAY), path], 1) for path in paths]
         costs = own[rows, 0, pairs[0]][:, :, None] + own[rows, 1, pairs[1]][:, None]
-        costs = (costs + price(_pair_costs, tuple(pairs))).reshape(len(frames), -1)
-    left, right = (elbows[rows, side, pairs[side]] for side in range(2))
+        costs = (costs + price(_pair_costs, (*pairs, at))).reshape(len(frames), -1)
+    left, right = (moving[rows, side, pairs[side]] for side in range(2))
     both = np.concatenate([np.repeat(left, 2, 1), np.tile(right, (1, 2, 1))], 2)
     way, row = cheapest_path(costs, both, times, *prices), rows[:, 0]
-    goals = np.full((len(problem.times), 2, 3), np.nan, np.float32)
-    goals[frames] = both[row, way].reshape(-1, 2, 3)
     chosen = np.stack([pairs[0][row, way // 2], pairs[1][row, way % 2]], 1)
+    goals = np.full((len(problem.times), 2, 3), np.nan, np.float32)
+    goals[frames] = elbows[rows, np.arange(2), chosen]
     nearest = np.rint(np.interp(problem.times, times, row)).astype(int)
-    return ElbowPath(goals, TURNS[chosen[nearest]])
+    return ElbowPath(goals, TURNS[chosen[nearest]], pivots)
 
 
-def turn_forearms(model: Model, trajectory: Trajectory, turns: np.ndarray) -> Trajectory:
-    """The same, its forearms turned by (T, 2, 3) about their grips.
+def turn_arms_along(model: Model, trajectory: Trajectory, path: ElbowPath) -> Trajectory:
+    """The same, its arms turned to where the path has them.
 
     A solve that is only told where an elbow belongs may end in another valley.
     """
     call = partial(_turned, replace(model, skeleton=trajectory.person(model.skeleton)))
-    (angles,) = in_batches(call, (trajectory.poses, turns.astype(model.dtype)), POSES_A_CALL)
+    turns, pivots = path.turns.astype(model.dtype), path.pivots.astype(np.int32)
+    (angles,) = in_batches(call, (trajectory.poses, turns, pivots), POSES_A_CALL)
     poses = trajectory.poses._replace(angles=angles.astype(model.dtype))
     return trajectory._replace(poses=poses)
 
 
 @program("quick")
-def _turned(model: Model, poses: Pose, turns: Array) -> Array:
-    """Angles (B, D) of a batch of poses, their forearms turned by (B, 2, 3)."""
+def _turned(model: Model, poses: Pose, turns: Array, pivots: Array) -> Array:
+    """Angles (B, D) of a batch of poses, their arms turned by (B, 2, 3) about pivots (B, 2)."""
 
-    def of_pose(pose: Pose, turn: Array) -> Array:
-        return turn_pose(model.skeleton, pose, model.grips, turn).angles
+    def of_pose(pose: Pose, turn: Array, at: Array) -> Array:
+        return turn_pose(model.skeleton, pose, model.grips, turn, at).angles
 
-    return jax.vmap(of_pose)(poses, turns)
+    return jax.vmap(of_pose)(poses, turns, pivots)
 
 
 def price_off_lines(elbows: Array, lines: SightLines, deviation: Array) -> Array:
@@ -155,57 +166,36 @@ def price_off_lines(elbows: Array, lines: SightLines, deviation: Array) -> Array
     return jnp.swapaxes(jnp.sum(off**2, (-3, -1)) / 2, -1, -2)
 
 
-def cheapest_path(
-    costs: np.ndarray,
-    places: np.ndarray,
-    times: np.ndarray,
-    speed: float,
-    largest_price: float = np.inf,
-) -> np.ndarray:
-    """Viterbi: which candidate (T,) at each time makes up the cheapest path.
+def candidates(
+    model: Model, settings: ElbowPathSettings, poses: Pose, pivots: Array
+) -> tuple[Arms, Array]:
+    """Arms (B, 2, K) of a batch of poses, and what they cost by themselves (B, 2, K), nats.
 
-    Args:
-        costs: (T, K) of the candidates, nats.
-        places: (T, K, N) of one elbow or of more points, metres.
-        times: (T,) seconds.
-        speed: of a movement that costs half a nat, metres a second.
-        largest_price: of any movement, nats.
+    ``pivots`` (B, 2) are what they are turned about.
     """
-    total, came_from = costs[0], np.zeros(costs.shape, np.int32)
-    for t in range(1, len(costs)):
-        reach = speed * max(times[t] - times[t - 1], 1e-3)
-        between = cdist(places[t], places[t - 1], "sqeuclidean")
-        via = total + np.minimum(between / (2 * reach**2), largest_price)
-        came_from[t] = via.argmin(1)
-        total = via.min(1) + costs[t]
-    path = np.full(len(costs), total.argmin())
-    for t in range(len(costs) - 1, 0, -1):
-        path[t - 1] = came_from[t, path[t]]
-    return path
-
-
-def candidates(model: Model, settings: ElbowPathSettings, poses: Pose) -> tuple[Arms, Array]:
-    """Arms (B, 2, K) of a batch of poses, and what they cost by themselves (B, 2, K), nats."""
     skeleton = model.skeleton
     dofs = arm_dofs(skeleton.tree)
     ranges, usual = skeleton.limits[dofs], skeleton.usual_deviations[dofs]
 
-    def of_pose(pose: Pose) -> tuple[Arms, Array]:
-        hung = hang(skeleton, pose, model.grips)
+    def of_pose(pose: Pose, at: Array) -> tuple[Arms, Array]:
+        hung = hang(skeleton, pose, model.grips, at)
         (arms, slack), angles = turn_arms(hung.arms), turned_angles(hung)
         away = (angles - skeleton.relaxed[dofs][:, None]) / usual[:, None]
         beyond = beyond_limits(ranges[:, None], angles) / settings.beyond_range
         slack = slack / settings.shoulder_slack
         return arms, (jnp.sum(away**2 + beyond**2, -1) + slack**2) / 2
 
-    return jax.vmap(of_pose)(poses)
+    return jax.vmap(of_pose)(poses, pivots)
 
 
 @program("quick")
-def _elbows(model: Model, settings: ElbowPathSettings, poses: Pose) -> tuple[Array, Array]:
-    """Elbows (B, 2, K, 3) of ``candidates``, and their own costs."""
-    arms, costs = candidates(model, settings, poses)
-    return arms.elbow, costs
+def _elbows(
+    model: Model, settings: ElbowPathSettings, poses: Pose, pivots: Array
+) -> tuple[Array, Array, Array]:
+    """Elbows (B, 2, K, 3) of ``candidates``; what moves, the wrist about an elbow; own costs."""
+    arms, costs = candidates(model, settings, poses, pivots)
+    about_elbow = (pivots == ELBOW)[..., None, None]
+    return arms.elbow, jnp.where(about_elbow, arms.wrist, arms.elbow), costs
 
 
 def _pictures(
@@ -241,8 +231,8 @@ def _pair_costs(model: Model, softness: Array, *views: Any) -> Array:
     """``view_costs`` of a batch of views, one after the other."""
 
     def of_view(each: tuple) -> Array:
-        pose, camera, grids, left, right = each
-        return view_costs(model, softness, pose, camera, grids, (left, right))
+        pose, camera, grids, left, right, at = each
+        return view_costs(model, softness, pose, camera, grids, (left, right), at)
 
     return jax.lax.map(of_view, views)
 
@@ -260,6 +250,7 @@ def view_costs(
     camera: Camera,
     grids: SilhouetteGrids,
     chosen: tuple[Array, Array],
+    pivots: Array | np.ndarray = AT_GRIPS,
 ) -> Array:
     """Sums of squares (A, B) over both pictures with the arms moved, and all else as it is.
 
@@ -270,19 +261,25 @@ def view_costs(
         camera: of the view.
         grids: of the view.
         chosen: candidates of the left arm (A,) and of the right one (B,).
+        pivots: (2,) about what they are turned.
     """
-    rest, arms = _draw_arms(model, softness, pose, camera, grids, jnp.stack(chosen))
+    rest, arms = _draw_arms(model, softness, pose, camera, grids, jnp.stack(chosen), pivots)
     away = jnp.minimum(jnp.minimum(arms.away[0], rest)[:, None], arms.away[1])
     shown = jnp.maximum(arms.shown[0][:, None], arms.shown[1])
     return _squares(_coverage(away, softness), grids.person) + _squares(shown, grids.forearms)
 
 
 def lone_costs(
-    model: Model, softness: Array, pose: Pose, camera: Camera, grids: SilhouetteGrids
+    model: Model,
+    softness: Array,
+    pose: Pose,
+    camera: Camera,
+    grids: SilhouetteGrids,
+    pivots: Array | np.ndarray = AT_GRIPS,
 ) -> Array:
     """The same (2, K) with one arm at each candidate, the other where it is."""
     every = jnp.tile(jnp.arange(len(TURNS)), (2, 1))
-    rest, arms = _draw_arms(model, softness, pose, camera, grids, every)
+    rest, arms = _draw_arms(model, softness, pose, camera, grids, every, pivots)
     # Of each arm the other one.
     away, shown = (part[::-1, STAY, None] for part in arms)
     away = jnp.minimum(jnp.minimum(arms.away, rest), away)
@@ -304,6 +301,7 @@ def _draw_arms(
     camera: Camera,
     grids: SilhouetteGrids,
     chosen: Array,
+    pivots: Array | np.ndarray,
 ) -> tuple[Array, _DrawnArms]:
     """Distances (C,) to the rest of the body, cells; candidates (2, N) of the arms."""
     skeleton = model.skeleton
@@ -314,7 +312,7 @@ def _draw_arms(
     outlines = project_flesh(skeleton.tree, camera, body, grids.per_metre, bones[kept])
     at = _nearest_limbs(grids.region, outlines, x, y)
     rest, surface = jnp.min(at.distance, 0), nearest_surface(camera, body, at.distance)
-    moved, _ = turn_arms(arms_of(skeleton, frames, model.grips))
+    moved, _ = turn_arms(with_pivots(arms_of(skeleton, frames, model.grips), pivots))
 
     def of_candidate(arm: Arms) -> _DrawnArms:
         limb = flesh(arm)

@@ -19,7 +19,7 @@ from jaxmocap.silhouette.keypoint_poses import (
     poses_of_lines,
     weigh_by_scatter,
 )
-from jaxmocap.smoothing.elbow_viterbi import cheapest_path
+from jaxmocap.solvers.viterbi import cheapest_path
 from jaxmocap.synthetic.drawing_camera import look_at
 
 NAMES = tuple(

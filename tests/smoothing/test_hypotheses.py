@@ -15,16 +15,28 @@ from conftest import on_device
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import Array
-from painted_motion import ELBOWS, MODEL, PERSON, points_of, problem, truth, views
+from painted_motion import (
+    ELBOWS,
+    MODEL,
+    PERSON,
+    measurements,
+    points_of,
+    problem,
+    truth,
+    views,
+)
 
-from jaxmocap.body.arms import arm_dofs, bent, hang, swing, turn_pose
+from jaxmocap.body.arms import GRIP, SHOULDER, arm_dofs, bent, hang, swing, turn_pose
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import PROPORTIONS
-from jaxmocap.smoothing.elbow_viterbi import cheapest_path, elbow_path, turn_forearms
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.smoothing.batch import DECISIONS, FREE_DECISIONS, unmarked_arms
+from jaxmocap.smoothing.elbow_viterbi import elbow_path, turn_arms_along
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import Trajectory, Views
 from jaxmocap.smoothing.settings import ElbowPathSettings
+from jaxmocap.solvers.viterbi import cheapest_path
 
 COUNT = 12
 GRIPS = MODEL.grips
@@ -147,13 +159,39 @@ def test_a_forearm_that_points_the_other_way_is_turned_to_its_goals_before_a_sol
         jax.tree.map(np.asarray, turned(on_device(truth(COUNT), jnp.float32))), NO_CHANGE
     )
     path = elbow_path(given, start)
-    there = turn_forearms(MODEL, start, path.turns)
+    there = turn_arms_along(MODEL, start, path)
     apart = points_of(there.poses)[:, ELBOWS] - path.goals
     assert np.linalg.norm(apart, axis=-1).max() < 0.1
     guided = given.with_measured(elbows=path.goals)
     told, put = (smooth_poses(guided, each, (1.5,)).trajectory for each in (start, there))
     left, led = (off(points_of(each.poses)[:, ELBOWS])[:, 1] for each in (told, put))
     assert left.max() > 0.2 and led.max() < 0.08
+
+
+@pytest.mark.parametrize("degrees", [(0, -90), (70, 70)])
+def test_an_arm_without_a_marker_is_found_by_turning_it_about_shoulder_and_elbow(degrees):
+    measured = measurements(COUNT)
+    measured["markers"][:, 2] = np.nan
+    unmarked = unmarked_arms(MODEL, measured["markers"])
+    assert not unmarked[:, 0].any() and unmarked[:, 1].all()
+    given = problem(COUNT, views(COUNT), measured)
+    away = np.radians([[0, 0, 0], [*degrees, 0]]).astype(np.float32)
+    turned = jax.vmap(lambda pose: turn_pose(PERSON, pose, GRIPS, away, np.array([0, SHOULDER])))
+    lost = jax.tree.map(np.asarray, turned(on_device(truth(COUNT), jnp.float32)))
+
+    def found(pivots: tuple[int, ...]) -> np.ndarray:
+        there = Trajectory(lost, NO_CHANGE)
+        for pivot in pivots:
+            path = elbow_path(given, there, np.where(unmarked, pivot, GRIP))
+            guided = given.with_measured(elbows=path.goals)
+            there = smooth_poses(guided, turn_arms_along(MODEL, there, path), (1.5,)).trajectory
+        there = smooth_poses(given, there, (0.8,)).trajectory
+        wrists = [LANDMARKS.index(f"wrist_{side}") for side in "lr"]
+        apart = points_of(there.poses)[:, wrists] - points_of(truth(COUNT))[:, wrists]
+        return np.linalg.norm(apart, axis=-1).mean(0)
+
+    by_grip, free = found(DECISIONS), found(FREE_DECISIONS)
+    assert by_grip[1] > 0.5 and free[1] < 0.1 and free[0] < 0.01
 
 
 def test_frames_without_a_view_have_no_goals():

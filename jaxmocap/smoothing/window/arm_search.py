@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxmocap.body.arms import TURNS, turn_pose
+from jaxmocap.body.arms import AT_GRIPS, TURNS, turn_pose
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, pack, unpack
 from jaxmocap.evidence.keypoints import SightLines
@@ -65,7 +65,7 @@ def search_arms(
         lines: (K, ...) to their key points, where any camera has some.
     """
     one = jax.tree.map(lambda part: part[None], pose)
-    arms, own = candidates(model, settings.elbow_path, one)
+    arms, own = candidates(model, settings.elbow_path, one, jnp.asarray(AT_GRIPS)[None])
     points, costs = jnp.stack([arms.elbow, arms.wrist, arms.tip], 3)[0], own[0]
     coarse, soft = grids.halve(), jnp.asarray(SOFTNESS, pose.angles.dtype)
 
