@@ -21,10 +21,12 @@ from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, landmark_rows
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
-from jaxmocap.geometry.cameras import Camera, on_host, pixel_rays
+from jaxmocap.geometry.cameras import Camera, on_host, pixel_rays, project
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.solvers.robust import shorten_residuals
 
+# A ray that is seen farther from its pixel is none.
+NO_RAY_PX = 5.0
 HIPS = landmark_rows(("hip_l", "hip_r"))
 # By their lengths a detector's person is as large as ours.
 LIMBS = tuple(
@@ -72,8 +74,13 @@ def lines_of_sight(
     count, columns = len(pixels_xy), landmark_rows(landmarks)
     origin = np.tile(on_host(camera).position_world, (count, 1))
     ways, sure = np.full((count, len(LANDMARKS), 3), np.nan), np.zeros((count, len(LANDMARKS)))
-    ways[:, columns] = pixel_rays(on_host(camera), np.asarray(pixels_xy, float))
-    is_detected = np.isfinite(ways[:, columns]).all(-1)
+    eye, pixels = on_host(camera), np.asarray(pixels_xy, float)
+    # Where a lens's polynomial folds there is no ray, and its iteration ends anywhere.
+    with np.errstate(all="ignore"):
+        rays = pixel_rays(eye, pixels)
+        again = project(eye, eye.position_world + rays)
+        is_detected = np.linalg.norm(again - pixels, axis=-1) < NO_RAY_PX
+    ways[:, columns] = np.where(is_detected[..., None], rays, np.nan)
     sure[:, columns] = np.where(is_detected, confidences, 0.0)
     beyond = np.full(sure.shape, np.nan)
     if depths is not None:

@@ -70,7 +70,7 @@ class BrownConrady:
     def undistort(
         self, k: Component, x: Component, y: Component, iterations: int
     ) -> tuple[Component, Component]:
-        """See ``LensModel.undistort``; by fixed-point iteration, as OpenCV does."""
+        """See ``LensModel.undistort``; by fixed-point iteration."""
         plane_x, plane_y = x, y
         for _ in range(iterations):
             off_x, off_y = self.distort(k, plane_x, plane_y)

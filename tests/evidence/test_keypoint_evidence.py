@@ -45,7 +45,7 @@ from jaxmocap.evidence.keypoints import (
 )
 from jaxmocap.evidence.terms import posed_body, residuals
 from jaxmocap.formats.recordings.keypoints import Detections
-from jaxmocap.geometry.cameras import project
+from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.pipelines.keypoints.lines import lines_at_events
 from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.smoothing.batch import smooth_recording
@@ -210,6 +210,16 @@ def a_frame():
     pose = Pose(*(jnp.asarray(part[3], float) for part in disturbed(COUNT).poses))
     frames = measurements(COUNT) | {"sight_lines": lines(wrong=0.2)}
     return pose, on_device(jax.tree.map(lambda part: part[3], frames))
+
+
+def test_there_is_no_ray_where_a_lens_folds():
+    """OpenCV's iteration ends anywhere there, or in NaN with warnings on the terminal."""
+    matrix = np.array([[850.0, 0, 960], [0, 850, 540], [0, 0, 1]])
+    folding = Camera.create((1920, 1080), matrix, [-0.30, 0.09, 0.0005, -0.0004, -0.012])
+    pixels = np.array([[[960.0, 540.0], [1200.0, 700.0], [1915.0, 1075.0], [1900.0, 1000.0]]])
+    names = ("neck", "elbow_l", "elbow_r", "wrist_l")
+    found = lines_of_sight(folding, names, pixels, np.ones((1, 4)))
+    assert (found.confidences[0, 0, landmark_rows(names)] == [1, 1, 0, 0]).all()
 
 
 def test_slopes_are_those_of_finite_differences():

@@ -216,6 +216,7 @@ def test_one_camera_whose_key_points_show_nobody_is_refused(folder, monkeypatch)
         (["--seconds", "1e9"], "--seconds: found 1e+09, expected at most 3600"),
         (["--seed", "-1"], "expected a whole number from 0 on"),
         (["--exercise", "dancing"], "invalid choice: 'dancing'"),
+        (["--exercise", "walking"], "--exercise: is of a rigged mesh, expected --person too"),
     ],
 )
 def test_a_demo_of_nobody_or_no_time_is_refused_below_its_progress(
