@@ -16,6 +16,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, landmark_rows
 from jaxmocap.body.surfaces.cones import Cones
 from jaxmocap.body.tree import Tree
+from jaxmocap.compilation.arrays import Numbers, namespace
 from jaxmocap.geometry.rotations import (
     about_axis,
     compose,
@@ -110,6 +111,14 @@ TURNS = forearm_turns()
 # none, the shoulder with all of the arm, and the elbow with the forearm.
 GRIP, SHOULDER, ELBOW = range(3)
 AT_GRIPS = np.array([GRIP, GRIP], np.int32)
+
+
+def unmarked_arms(tree: Tree, markers: Sites, points: Numbers) -> Numbers:
+    """(..., 2) which arms carry no marker that is there, of points (..., M, 3), NaN for missing."""
+    xp = namespace(points)
+    is_present = xp.isfinite(points).all(-1)
+    on = [np.isin(markers.bones, tree.bones_in("arm", side=side)) for side in SIDES]
+    return xp.stack([~(is_present & own).any(-1) for own in on], -1)
 
 
 def with_pivots(arms: Arms, pivots: Array | np.ndarray) -> Arms:

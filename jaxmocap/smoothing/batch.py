@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import numpy as np
 
-from jaxmocap.body.arms import ELBOW, GRIP, SHOULDER, SIDES
+from jaxmocap.body.arms import ELBOW, GRIP, SHOULDER, unmarked_arms
 from jaxmocap.body.model import Model
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
@@ -174,7 +174,7 @@ def solve_recording(
     problem = measured_about(trajectory)
     trajectory = smooth_poses(problem, trajectory, ROUGHLY, PREPARED, coarse=True).trajectory
     show(0.3)
-    unmarked = unmarked_arms(model, first_pass.markers_world)
+    unmarked = unmarked_arms(model.skeleton.tree, model.markers, first_pass.markers_world)
     pivots = FREE_DECISIONS if unmarked.any() else DECISIONS
     for turn, pivot in enumerate(pivots):
         trajectory = decided(problem, trajectory, pivot)
@@ -183,13 +183,6 @@ def solve_recording(
     problem = measured_about(trajectory)
     show(0.7)
     return SolvedProblem(problem, smooth_poses(problem, trajectory, FINELY).trajectory)
-
-
-def unmarked_arms(model: Model, markers_world: np.ndarray) -> np.ndarray:
-    """(E, 2) which arms carry no marker at events, of markers (E, M, 3), NaN where missing."""
-    tree, is_present = model.skeleton.tree, np.isfinite(markers_world).all(-1)
-    on = [np.isin(model.markers.bones, tree.bones_in("arm", side=side)) for side in SIDES]
-    return np.stack([~(is_present & own).any(-1) for own in on], -1)
 
 
 def _with_usual_legs(

@@ -18,14 +18,17 @@ from painted_motion import (
     MARKERS,
     PERSON,
     RATE,
+    SETTINGS,
     elbow_errors,
     places_of,
     points_of,
     pose_at,
     truth,
+    views,
 )
 from scipy.linalg import block_diag
 
+from jaxmocap.body.arms import ELBOW, GRIP, SHOULDER
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract, unpack
 from jaxmocap.body.proportions import PROPORTIONS
@@ -42,7 +45,7 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.window import advance as advancing
 from jaxmocap.smoothing.window import solving
 from jaxmocap.smoothing.window.advance import DELAY_FRAMES, DELAY_S, advance
-from jaxmocap.smoothing.window.arm_search import ArmSearch, with_arm_there
+from jaxmocap.smoothing.window.arm_search import ArmSearch, search_arms, with_arm_there
 from jaxmocap.smoothing.window.elimination import (
     FLOOR,
     Evidence,
@@ -209,14 +212,43 @@ def test_what_comes_later_changes_nothing_that_is_final(smoothed):
 turned = jax.jit(with_arm_there)
 
 
+def with_right_arm_turned(i: int, turn, pivot: int, unmarked: bool = True) -> Pose:
+    """The truth, but for the right arm."""
+    pose = np.concatenate(at(truth(COUNT), i)).astype(np.float32)
+    model, pivots = Model.create(PERSON, MARKERS), np.array([GRIP, pivot], np.int32)
+    none = on_device((0.0, 0.0, np.zeros((2, 3, 3))))
+    found = ArmSearch(np.int32(1), np.array(turn, np.float32), *none, pivots)
+    there = turned(model, on_device(pose[None]), found, np.full((1, 2), unmarked))
+    return unpack(np.asarray(there)[0])
+
+
 def lost(i: int) -> StepReport:
     """The truth, but for the right forearm: turned about its hand by a radian."""
-    pose = np.concatenate(at(truth(COUNT), i)).astype(np.float32)
-    model, turn = Model.create(PERSON, MARKERS), np.array([-1.0, 0.0, 0.0], np.float32)
-    none = on_device((0.0, 0.0, np.zeros((2, 3, 3))))
-    found = ArmSearch(np.int32(1), turn, *none)
-    there = np.asarray(turned(model, on_device(pose[None]), found))
-    return report(i)._replace(marker_pose=unpack(there[0]))
+    return report(i)._replace(marker_pose=with_right_arm_turned(i, (-1.0, 0.0, 0.0), GRIP, False))
+
+
+@pytest.mark.parametrize("pivot", [SHOULDER, ELBOW])
+def test_an_arm_without_a_marker_is_searched_for_about_its_joints(pivot):
+    away = with_right_arm_turned(4, (0.0, -0.8, 0.0), pivot)
+    model, both = Model.create(PERSON, MARKERS, CAMERAS), np.ones(2, bool)
+    grids = on_device(views(COUNT, (0, 1), [4]).grids, jnp.float32)
+    search = jax.jit(partial(search_arms, lines=None))
+    at_joint = np.array([GRIP, pivot], np.int32)
+    found = search(model, SETTINGS, on_device(away, jnp.float32), both, grids, pivots=at_joint)
+    end = LANDMARKS.index("wrist_r")
+
+    def off(pose: Pose) -> float:
+        points = points_of(jax.tree.map(lambda part: np.asarray(part)[None], pose))[0]
+        return float(np.linalg.norm(points[end] - points_of(truth(COUNT))[4, end]))
+
+    def there(unmarked: bool) -> Pose:
+        packed = np.concatenate(away).astype(np.float32)[None]
+        return unpack(np.asarray(turned(model, packed, found, np.full((1, 2), unmarked)))[0])
+
+    assert int(found.side) == 1 and float(found.gain) > 10
+    assert off(there(True)) < 0.3 * off(away)
+    # Where a marker holds the hand, no joint is turned.
+    assert off(there(False)) == pytest.approx(off(away), abs=1e-5)
 
 
 def test_an_arm_that_is_lost_is_found_again():

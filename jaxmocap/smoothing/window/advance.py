@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxmocap.body.arms import ELBOW, GRIP, SHOULDER, unmarked_arms
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import difference, unpack
 from jaxmocap.body.skeleton import LANDMARKS
@@ -139,13 +140,18 @@ def _solve_window(
     shown = jnp.asarray(events.shown)[newest]
     can_search = jnp.any(shown) & (events.filled > REACH)
     searched = state.searched + can_search.astype(jnp.int32)
-    is_due = can_search & (searched >= SEARCH_EVERY)
+    is_due = can_search & (searched % SEARCH_EVERY == 0)
+    unmarked = unmarked_arms(model.skeleton.tree, model.markers, events.measured["markers"])
+    # An arm without a marker is turned about its shoulder and, at the next search, about its elbow.
+    free = jnp.where(searched > SEARCH_EVERY, ELBOW, SHOULDER)
+    pivots = jnp.where(unmarked[newest], free, GRIP)
 
     def search() -> tuple[Array, Array, Array]:
         evidence = jax.tree.map(lambda part: part[newest], (events.grids, events.lines))
-        found = search_arms(model, settings, unpack(events.poses[newest]), shown, *evidence)
+        there = unpack(events.poses[newest])
+        found = search_arms(model, settings, there, shown, *evidence, pivots)
         is_tried = (found.gain >= RIVAL_GAIN) & (found.away >= RIVAL_M)
-        return is_tried, found.spread, with_arm_there(model, events.poses, found)
+        return is_tried, found.spread, with_arm_there(model, events.poses, found, unmarked)
 
     def none() -> tuple[Array, Array, Array]:
         return jnp.zeros((), bool), state.arms_spread, events.poses
@@ -178,7 +184,7 @@ def _solve_window(
     first = jnp.zeros((), jnp.int32), *nothing, jnp.zeros((), bool)
     _, window, _, has_won = jax.lax.while_loop(untried, attempt, first)
     state = state._replace(
-        searched=jnp.where(is_due, 0, searched), arms_spread=spread,
+        searched=searched % (2 * SEARCH_EVERY), arms_spread=spread,
         sure=jnp.where(has_won, 0.0, state.sure),
     )  # fmt: skip
     return state, window

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxmocap.body.arms import AT_GRIPS, TURNS, turn_pose
+from jaxmocap.body.arms import ELBOW, GRIP, TURNS, turn_pose
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, pack, unpack
 from jaxmocap.evidence.keypoints import SightLines
@@ -38,12 +38,13 @@ class ArmSearch(NamedTuple):
     """What a frame says of arms elsewhere."""
 
     side: Array  # of the arm that would cost least elsewhere, 0 for the left one
-    turn: Array  # (3,) of its forearm, as of ``TURNS``, radians
+    turn: Array  # (3,) about its pivot, as of ``TURNS``, radians
     gain: Array  # by how much less that costs than where the arm is, nats
-    away: Array  # of its elbow from there, metres
+    away: Array  # of its elbow from there, or about the elbow of its wrist, metres
     # (2, 3, 3) root mean squares of how far elbow, wrist and hand's tip of either arm may be from
     # where they are, world, metres.
     spread: Array
+    pivots: Array  # (2,) about what the arms were turned
 
 
 def search_arms(
@@ -53,6 +54,7 @@ def search_arms(
     shown: Array,
     grids: SilhouetteGrids,
     lines: SightLines | None,
+    pivots: Array,
 ) -> ArmSearch:
     """All candidates of either arm, by the frames of an event.
 
@@ -63,16 +65,17 @@ def search_arms(
         shown: (C,) which cameras had a frame.
         grids: (C, ...) what these show.
         lines: (K, ...) to their key points, where any camera has some.
+        pivots: (2,) about what the arms are turned.
     """
     one = jax.tree.map(lambda part: part[None], pose)
-    arms, own = candidates(model, settings.elbow_path, one, jnp.asarray(AT_GRIPS)[None])
+    arms, own = candidates(model, settings.elbow_path, one, pivots[None])
     points, costs = jnp.stack([arms.elbow, arms.wrist, arms.tip], 3)[0], own[0]
     coarse, soft = grids.halve(), jnp.asarray(SOFTNESS, pose.angles.dtype)
 
     def of_camera(c: Array, total: Array) -> Array:
         def priced() -> Array:
             camera, there = jax.tree.map(lambda part: jnp.asarray(part)[c], (model.cameras, coarse))
-            return total + lone_costs(model, soft, pose, camera, there)
+            return total + lone_costs(model, soft, pose, camera, there, pivots)
 
         return jax.lax.cond(shown[c], priced, lambda: total)
 
@@ -85,16 +88,23 @@ def search_arms(
     away = points - points[:, STAY, None]
     spread = jnp.sqrt(jnp.einsum("sk,skpi->spi", shares, away**2, precision=HIGHEST))
     side, turn = jnp.divmod(jnp.argmin(total), len(TURNS))
-    gain, elbow = total[side, STAY] - total[side, turn], away[side, turn, 0]
+    gain = total[side, STAY] - total[side, turn]
+    # About an elbow that is the wrist's way.
+    moved = away[side, turn, jnp.where(pivots[side] == ELBOW, 1, 0)]
     chosen = jnp.asarray(TURNS, pose.angles.dtype)[turn]
-    return ArmSearch(side, chosen, gain, jnp.linalg.norm(elbow), spread)
+    return ArmSearch(side, chosen, gain, jnp.linalg.norm(moved), spread, pivots)
 
 
-def with_arm_there(model: Model, poses: Array, found: ArmSearch) -> Array:
-    """Packed poses (T, 7 + D), the arm of each turned as was found, about its grip."""
+def with_arm_there(model: Model, poses: Array, found: ArmSearch, unmarked: Array) -> Array:
+    """Packed poses (T, 7 + D), the arm of each turned as was found.
+
+    About its grip at all events, about a joint at those where it is ``unmarked`` (T, 2).
+    """
     turns = jnp.zeros((2, 3), poses.dtype).at[found.side].set(found.turn)
+    is_turned = unmarked | (found.pivots == GRIP)
 
-    def one(packed: Array) -> Array:
-        return pack(turn_pose(model.skeleton, unpack(packed), model.grips, turns))
+    def one(packed: Array, turned: Array) -> Array:
+        own = jnp.where(turned[:, None], turns, 0.0)
+        return pack(turn_pose(model.skeleton, unpack(packed), model.grips, own, found.pivots))
 
-    return jax.vmap(one)(poses)
+    return jax.vmap(one)(poses, is_turned)

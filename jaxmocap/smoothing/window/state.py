@@ -127,7 +127,7 @@ class WindowState(NamedTuple):
     # without.
     sure: Array
     pace: Array  # () seconds between events, by which terms are weighed
-    searched: Array  # () video frames since the arms were searched for
+    searched: Array  # () video frames since the arms were searched for, in two searches' time
     # (2, 3, 3) how far arms may be elsewhere, see ``ArmSearch``; of the last search.
     arms_spread: Array
     variances: Array  # (2, L, 3) of the landmarks, as last found, likewise
