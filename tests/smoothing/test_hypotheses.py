@@ -26,12 +26,21 @@ from painted_motion import (
     views,
 )
 
-from jaxmocap.body.arms import GRIP, SHOULDER, arm_dofs, bent, hang, swing, turn_pose
+from jaxmocap.body.arms import (
+    GRIP,
+    SHOULDER,
+    arm_dofs,
+    bent,
+    hang,
+    swing,
+    turn_pose,
+    unmarked_arms,
+)
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.smoothing.batch import DECISIONS, FREE_DECISIONS, unmarked_arms
+from jaxmocap.smoothing.batch import DECISIONS, FREE_DECISIONS
 from jaxmocap.smoothing.elbow_viterbi import elbow_path, turn_arms_along
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import Trajectory, Views
@@ -172,7 +181,7 @@ def test_a_forearm_that_points_the_other_way_is_turned_to_its_goals_before_a_sol
 def test_an_arm_without_a_marker_is_found_by_turning_it_about_shoulder_and_elbow(degrees):
     measured = measurements(COUNT)
     measured["markers"][:, 2] = np.nan
-    unmarked = unmarked_arms(MODEL, measured["markers"])
+    unmarked = unmarked_arms(PERSON.tree, MODEL.markers, measured["markers"])
     assert not unmarked[:, 0].any() and unmarked[:, 1].all()
     given = problem(COUNT, views(COUNT), measured)
     away = np.radians([[0, 0, 0], [*degrees, 0]]).astype(np.float32)
