@@ -224,7 +224,7 @@ def test_a_frame_that_serves_several_samples_has_a_view_for_each(problems):
     assert any(np.quantile(a[b], 0.95) < 1e-6 for a, b in zip(away, both, strict=True))
     own = np.arange(0, 2 * FRAMES, 2)
     # One of them has no views: the legs that silhouettes start from.
-    assert len(problems) == 3 + batch.DECISIONS
+    assert len(problems) == 3 + len(batch.DECISIONS)
     alone = usual()[-1].views.grids.person.probability
     np.testing.assert_allclose(person.probability[own].mean(), alone.mean(), atol=0.01)
 

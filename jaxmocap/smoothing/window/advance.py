@@ -147,9 +147,9 @@ def _solve_window(
     pivots = jnp.where(unmarked[newest], free, GRIP)
 
     def search() -> tuple[Array, Array, Array]:
-        evidence = jax.tree.map(lambda part: part[newest], (events.grids, events.lines))
+        grids, lines = jax.tree.map(lambda part: part[newest], (events.grids, events.lines))
         there = unpack(events.poses[newest])
-        found = search_arms(model, settings, there, shown, *evidence, pivots)
+        found = search_arms(model, settings, there, shown, grids, lines, pivots)
         is_tried = (found.gain >= RIVAL_GAIN) & (found.away >= RIVAL_M)
         return is_tried, found.spread, with_arm_there(model, events.poses, found, unmarked)
 
