@@ -102,10 +102,8 @@ def _height(
         if length is not None and part != "foot"
     ]
     pelvis, parts = (landmarks["hip_l"] + landmarks["hip_r"]) / 2, table["lengths"]
-    for top, usual in (
-        ("vertex", parts["trunk"] + parts["neck_head"]),
-        ("neck", parts["trunk"]),
-    ):
+    usual_lengths = {"vertex": parts["trunk"] + parts["neck_head"], "neck": parts["trunk"]}
+    for top, usual in usual_lengths.items():
         length = _distance({**landmarks, "pelvis": pelvis}, "pelvis", top)
         if not ratios and length is not None:
             ratios = [length / usual]

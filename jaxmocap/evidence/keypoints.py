@@ -25,7 +25,7 @@ from jaxmocap.geometry.cameras import Camera, on_host, pixel_rays, project
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.solvers.robust import shorten_residuals
 
-# A ray that is seen farther from its pixel is none.
+# A ray that is projected farther from its pixel is none.
 NO_RAY_PX = 5.0
 HIPS = landmark_rows(("hip_l", "hip_r"))
 # By their lengths a detector's person is as large as ours.

@@ -130,7 +130,7 @@ def elbow_path(
 def turn_arms_along(model: Model, trajectory: Trajectory, path: ElbowPath) -> Trajectory:
     """The same, its arms turned to where the path has them.
 
-    A solve that is only told where an elbow belongs may end in another valley.
+    A solve that only has a goal for an elbow may end in another valley.
     """
     call = partial(_turned, replace(model, skeleton=trajectory.person(model.skeleton)))
     turns, pivots = path.turns.astype(model.dtype), path.pivots.astype(np.int32)

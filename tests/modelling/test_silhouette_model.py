@@ -65,7 +65,7 @@ def test_the_person_has_their_colours_on(made):
     _, up, ahead = np.asarray(body.vertices).T
     low, high = up.min(), up.max()
     tall = (up - low) / (high - low)
-    # A red shirt over blue trousers, seen from ahead, below the hands.
+    # A red shirt over blue trousers, from ahead, below the hands.
     shirt = colours[(tall > 0.65) & (tall < 0.75) & (ahead > 0.02)].mean(0)
     trousers = colours[(tall > 0.3) & (tall < 0.42) & (ahead > 0.02)].mean(0)
     assert shirt[0] > 1.8 * shirt[2] and trousers[2] > 1.2 * trousers[0]

@@ -175,12 +175,14 @@ def test_without_a_pose_the_legend_says_so_and_states_no_deviation(motion, targe
     position = np.array(motion.poses.position)
     position[:10] = np.nan
     gone = motion.poses._replace(position=position)
-    said = []
-    monkeypatch.setattr(overlay, "draw_legend", lambda _, lines: said.append([t for t, _ in lines]))
+    drawn = []
+    monkeypatch.setattr(
+        overlay, "draw_legend", lambda _, lines: drawn.append([t for t, _ in lines])
+    )
     artist = OverlayArtist(make_camera(), replace(motion, poses=gone), targets)
     for time in (motion.times[4], motion.times[20], motion.times[-1] + 50):
         artist.draw(artist.canvas(None), float(time))
-    first, during, after = said
+    first, during, after = drawn
     assert first == [f"{motion.times[4]:.2f} s, no pose"] and after[0].endswith("no pose")
     assert len(after) == 1 and any("elbow" in text for text in during)
 

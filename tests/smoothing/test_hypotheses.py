@@ -172,8 +172,8 @@ def test_a_forearm_that_points_the_other_way_is_turned_to_its_goals_before_a_sol
     apart = points_of(there.poses)[:, ELBOWS] - path.goals
     assert np.linalg.norm(apart, axis=-1).max() < 0.1
     guided = given.with_measured(elbows=path.goals)
-    told, put = (smooth_poses(guided, each, (1.5,)).trajectory for each in (start, there))
-    left, led = (off(points_of(each.poses)[:, ELBOWS])[:, 1] for each in (told, put))
+    pulled, put = (smooth_poses(guided, each, (1.5,)).trajectory for each in (start, there))
+    left, led = (off(points_of(each.poses)[:, ELBOWS])[:, 1] for each in (pulled, put))
     assert left.max() > 0.2 and led.max() < 0.08
 
 

@@ -94,7 +94,7 @@ def disagreeing(distances: np.ndarray, real: np.ndarray, apart: float, near: flo
     """(C,) bool: cameras whose pairs lie much farther apart than all cameras' together.
 
     By distances (C, N), metres, of those that are pairs: ``apart`` times as far, unless they are
-    within ``near``, metres. Of two nobody knows which is wrong.
+    within ``near``, metres. Of two it is open which is wrong.
     """
     if real.any(1).sum() < 3:
         return np.zeros(len(real), bool)
