@@ -77,7 +77,7 @@ def _factors(
     tree = skeleton.tree
     bones = np.arange(len(tree.bones))
     scales = np.array([np.isin(bones, tree.bones_in(*p.bones)) for p in proportions]).T
-    return namespace(logarithms).exp(scales.astype(skeleton.lengths.dtype) @ logarithms)
+    return namespace(logarithms).exp((scales.astype(skeleton.lengths.dtype) * logarithms).sum(-1))
 
 
 def stretch_points(skeleton: Skeleton, points: BodyPoints, logarithms: Array) -> BodyPoints:

@@ -166,7 +166,7 @@ def residuals_and_pull(
         left, w = [term for term, _ in others], jnp.concatenate([w for _, w in others])
 
         def weighed(body: PosedBody) -> Array:
-            return jnp.vdot(joined_residuals(left, model, body, measured), w)
+            return jnp.sum(joined_residuals(left, model, body, measured) * w)
 
         slope = jax.grad(weighed)(body._replace(frames=None))
         total = total + _Derivatives.of(model, body).pull(slope)
@@ -221,6 +221,6 @@ class _Derivatives(NamedTuple):
 
         # A turn w of the pelvis: R -> exp(hat(w)) R, and q -> exp(w / 2) q.
         M = jnp.matmul(body.R_world_pelvis, slope.R_world_pelvis.T, precision=HIGHEST)
-        even = jnp.trace(M) + jnp.vdot(slope.pose.quaternion, body.pose.quaternion) / 4
+        even = jnp.trace(M) + jnp.sum(slope.pose.quaternion * body.pose.quaternion) / 4
         own = (M + M.T) / 2 - even * jnp.eye(3, dtype=S.dtype)
         return S.at[3:ROOT_DOF, 3:ROOT_DOF].add(own)

@@ -65,7 +65,7 @@ class AnkleRange(Term):
             return jnp.zeros(0, body.landmarks.dtype)
         knees, ankles = body.landmarks[KNEES], body.landmarks[ANKLES]
         shanks, ahead = knees - ankles, body.R_world_pelvis[:2, 0]
-        lean = shanks[:, :2] @ ahead / (length(shanks) * length(ahead))
+        lean = jnp.sum(shanks[:, :2] * ahead, -1) / (length(shanks) * length(ahead))
         beyond = excess(jnp.stack([lean - FARTHEST_AHEAD, FARTHEST_BACK - lean], -1))
         lifted = (ankles[:, 2:] - measured["ankles"][:, 2:]) / LIFTED_M
         return beyond / (self.beyond * (1 + lifted**2))
@@ -99,7 +99,8 @@ class KneesOverFeet(Term):
         """(6 + D, 6 + D)."""
         lean, by_pose = self._lean(model, body)
         bend = SOFT**2 / (lean**2 + SOFT**2) ** 1.5 / 2
-        return by_pose.T @ ((weights * bend / self.beyond)[:, None] * by_pose)
+        bent = (weights * bend / self.beyond)[:, None] * by_pose
+        return jnp.matmul(by_pose.T, bent, precision=HIGHEST)
 
     def _lean(self, model: Model, body: PosedBody) -> tuple[Array, Array]:
         """(2,) radians beyond the farthest lean, and their derivative (2, 6 + D)."""

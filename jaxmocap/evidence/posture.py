@@ -109,7 +109,7 @@ class Pelvis(Term):
         trunk = points[1] - points[0]
         ahead = body.R_world_pelvis[:2, 0]
         ahead, trunk = ahead / length(ahead), trunk[:2] / length(trunk)
-        lean, aside = jnp.dot(trunk, ahead), ahead[0] * trunk[1] - ahead[1] * trunk[0]
+        lean, aside = jnp.sum(trunk * ahead), ahead[0] * trunk[1] - ahead[1] * trunk[0]
         others = jnp.stack([excess(lean - BOW * bent), aside])
         back = -excess(-lean)[None] / self.lean
         return jnp.concatenate([back, shorten_residuals((others / self.lean)[:, None])[:, 0]])
@@ -285,7 +285,7 @@ class UsualPlaces(Term):
             return jnp.zeros(0, body.landmarks.dtype)
         usual = measured["usual"]
         away = body.landmarks[USUAL_ROWS] - usual.places
-        return jnp.einsum("kij,kj->ki", usual.roots, away) / self.spread
+        return jnp.einsum("kij,kj->ki", usual.roots, away, precision=HIGHEST) / self.spread
 
 
 class Usual(NamedTuple):

@@ -145,7 +145,8 @@ def faces_away(model: Model, pose: Pose, targets: Array) -> Array:
     apart, facing = jnp.linalg.norm(across), quaternion_to_matrix(pose.quaternion)[:2, 0]
     turned = jnp.stack([across[1], -across[0]]) / jnp.maximum(apart, HANDS_APART_M)
     facing = facing / jnp.maximum(jnp.linalg.norm(facing), 1e-6)
-    is_away = (apart > HANDS_APART_M) & (facing @ turned < 0) & (ahead @ (turned - facing) > 0)
+    is_away = (apart > HANDS_APART_M) & (jnp.sum(facing * turned) < 0)
+    is_away &= jnp.sum(ahead * (turned - facing)) > 0
     return is_away & is_measured & jnp.any(present[0]) & jnp.any(present[1])
 
 

@@ -14,6 +14,7 @@ from jaxmocap.body.orientations import quaternions
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.compilation.programs import Program, program
+from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.surfaces.body_shape import determined_landmarks
 
 # Deviation of a landmark, metres.
@@ -93,8 +94,9 @@ def _fit_pose(skeleton: Skeleton, start: Pose, points: Array) -> Pose:
     def once(_: int, pose: Pose) -> Pose:
         none = jnp.zeros_like(rest)
         r, J = off(pose, none), jax.jacfwd(lambda step: off(pose, step))(none)
-        slope = J.T @ r + rest * difference(pose, start)
-        step = -jnp.linalg.solve(J.T @ J + jnp.diag(rest + 1.0), slope)
+        slope = jnp.matmul(r, J, precision=HIGHEST) + rest * difference(pose, start)
+        square = jnp.matmul(J.T, J, precision=HIGHEST)
+        step = -jnp.linalg.solve(square + jnp.diag(rest + 1.0), slope)
         moved = retract(pose, jnp.clip(step, -0.3, 0.3))
         low, high = skeleton.limits[:, 0], skeleton.limits[:, 1]
         return moved._replace(angles=jnp.clip(moved.angles, low, high))

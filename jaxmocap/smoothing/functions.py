@@ -327,7 +327,7 @@ def _descend(problem: _Problem, start: Pose) -> Pose:
         # Damping may be what makes it short.
         short = damping <= DAMPING
         short &= jnp.max(jnp.abs(move)) < SHORT * jnp.sqrt(precision)
-        short &= jnp.abs(jnp.vdot(slopes.gradient, move)) < precision * (LITTLE + slopes.cost)
+        short &= jnp.abs(jnp.sum(slopes.gradient * move)) < precision * (LITTLE + slopes.cost)
         return _Steps(now.made + 1, best, slopes, retract(best, move), damping, short)
 
     unknown = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), like)

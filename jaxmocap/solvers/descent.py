@@ -187,14 +187,14 @@ def _take_step(problem: Problem, parameters: Any, now: _Progress) -> _Progress:
     damping = jnp.where(lowered, LOWERED * now.damping, more)
     damping = jnp.where(first, -now.damping, jnp.maximum(damping, LEAST_DAMPING))
     move = _correct_step(problem, parameters, best, local, damping)
-    along = -jnp.vdot(local.slope, move)
+    along = -jnp.sum(local.slope * move)
     short = jnp.max(jnp.abs(move)) < SHORT * jnp.sqrt(precision)
     short &= jnp.abs(along) / 2 < precision * (LITTLE + local.cost)
     ended = (short & (now.short | (damping <= LEAST_DAMPING))) | (damping >= LARGEST_DAMPING)
     # Damping may be what makes it short.
     damping = jnp.where(short, 0.0, damping)
     tried = problem.move(best, move)
-    shortening = along / jnp.maximum(jnp.vdot(move, move), precision)
+    shortening = along / jnp.maximum(jnp.sum(move**2), precision)
     return _Progress(now.left - 1, best, local, tried, damping, shortening, short, ended)
 
 

@@ -16,6 +16,8 @@ import jax.numpy as jnp
 from jax import Array
 from jax.custom_derivatives import SymbolicZero
 
+from jaxmocap.solvers.sdls import HIGHEST
+
 
 def following(moved: Callable[[Any, Any], Any], parameters: Any, x: Any) -> Any:
     """The minimum x as it is, with the derivatives of ``moved(parameters, x)``.
@@ -86,7 +88,7 @@ def least_squares_step(
         jnp.concatenate([J * scale, jnp.diag(ridge)]), full_matrices=False
     )
     B = scale[:, None] * Vt.T / sigma
-    exactly = partial(jnp.matmul, precision="highest")
+    exactly = partial(jnp.matmul, precision=HIGHEST)
     values, vectors = jnp.linalg.eigh(
         jnp.eye(len(free), dtype=J.dtype) + exactly(exactly(B.T, S), B)
     )
@@ -107,4 +109,5 @@ def curved_step(slope: Array, hessian: Array) -> Array:
     values, vectors = jnp.linalg.eigh(scale[:, None] * H * scale)
     curved = values > 100 * jnp.finfo(H.dtype).eps * jnp.max(jnp.abs(values))
     inverse = jnp.where(curved, 1 / jnp.where(curved, values, 1.0), 0.0)
-    return -scale * jnp.matmul(vectors, inverse * jnp.matmul(scale * slope, vectors))
+    exactly = partial(jnp.matmul, precision=HIGHEST)
+    return -scale * exactly(vectors, inverse * exactly(scale * slope, vectors))

@@ -201,5 +201,6 @@ def test_what_cannot_be_kept_runs_all_the_same(
 def test_options_that_this_compiler_lacks_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """A release that lacks one of an effort's has the others all the same."""
     level = {"xla_backend_optimization_level": 1}
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
     monkeypatch.setitem(programs.EFFORTS, "quick", {"xla_of_no_release": True, **level})
     assert programs._compiler_options.__wrapped__("quick") == level

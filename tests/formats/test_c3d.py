@@ -1,5 +1,6 @@
 """C3D: what is written is read back, with gaps; other writers' habits are read."""
 
+import os
 import struct
 from functools import partial
 from pathlib import Path
@@ -213,6 +214,22 @@ def test_a_file_may_take_so_much_time_and_memory_and_no_more(tmp_path, monkeypat
     path = foreign(tmp_path / "a.c3d", np.ones((4, 40, 40_000)))
     monkeypatch.setattr(c3d, "MAX_MEMORY_BYTES", most)
     monkeypatch.setattr(c3d, "MAX_READ_S", 0.001 if "0.001" in message else 60)
+    assert message in complaint(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("def c3d(path):\n    raise MemoryError", "takes more than"),
+        ("raise ModuleNotFoundError", "ezc3d cannot be imported (pip install ezc3d)"),
+    ],
+)
+def test_ezc3d_is_had_from_where_this_process_has_it(tmp_path, monkeypatch, content, message):
+    """As below PYTHONPATH, or in the user's own folder."""
+    path = foreign(tmp_path / "a.c3d", np.ones((4, 1, 2)))
+    (tmp_path / "packages").mkdir()
+    (tmp_path / "packages" / "ezc3d.py").write_text(content)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "packages"), prepend=os.pathsep)
     assert message in complaint(path)
 
 

@@ -236,7 +236,7 @@ def test_the_process_has_limits_of_memory_and_time(tmp_path):
         began = time.monotonic()
         folder = Path(decoding.__file__).parent
         done = subprocess.run(
-            [sys.executable, "-I", "-c", begins + code, folder], capture_output=True, text=True
+            [sys.executable, "-P", "-c", begins + code, folder], capture_output=True, text=True
         )
         assert done.returncode == ended and time.monotonic() - began < 30
         assert ("MemoryError" in done.stderr) == (code is takes)

@@ -26,6 +26,7 @@ from painted_motion import (
     truth,
     views,
 )
+from products import coarse_products
 from scipy.linalg import block_diag
 
 from jaxmocap.body.arms import ELBOW, GRIP, SHOULDER
@@ -286,6 +287,15 @@ def test_a_window_that_begins_far_off_does_not_diverge(seed):
     poses = unpack(np.asarray(found.poses)[: len(numbers)])
     off = np.linalg.norm(np.asarray(places_of(on_device(poses))) - markers()[numbers], axis=-1)
     assert off.max() < 0.2
+
+
+def test_products_run_at_full_precision():
+    smoother = smoother_of()
+    smoother.step(TIMES[0], markers()[0], [images()[0]], report(0))
+    there = np.zeros((PLACES, *markers().shape[1:]), np.float32)
+    within = smoother.model, smoother.settings, smoother._state
+    count, coarse = coarse_products(advance, *within, nothing_new(smoother), there, np.bool_(False))
+    assert count > 10 and coarse == []
 
 
 def nothing_new(smoother: FixedLagSmoother):

@@ -134,7 +134,7 @@ def _cost_of_all(model: Model, targets: Array, place: tuple[MarkedPerson, Pose])
         targets, TAILS, poses
     )
     shared = jnp.concatenate([person.lengths, person.shifts.ravel()])
-    return jnp.sum(own) + shared @ solve_definite(usual_covariance(model), shared)
+    return jnp.sum(own) + jnp.sum(shared * solve_definite(usual_covariance(model), shared))
 
 
 def _shared_equations(

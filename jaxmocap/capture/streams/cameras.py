@@ -164,7 +164,8 @@ def stream_frames(url: str, colour: bool, max_pixels: int) -> Images:
     """
     import cv2
 
-    script = [sys.executable, "-I", decoding.__file__]
+    # Packages may lie where only PYTHONPATH or the user's own folder leads, which -I would hide.
+    script = [sys.executable, "-P", decoding.__file__]
     command = [*script, url, "colour" if colour else "grey", str(max_pixels)]
     # Each further thread of its libraries would take addresses.
     alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}

@@ -36,6 +36,7 @@ from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.formats.files.errors import comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.formats.recordings.marker_places import MarkerPlace, read_place
+from jaxmocap.geometry.rotations import HIGHEST
 
 # Standard deviation of a marker about its point on the body, metres.
 MARKER_M = 0.01
@@ -91,8 +92,9 @@ def _left_open(skeleton: Skeleton, markers: Sites) -> tuple[Array, Array]:
 
     J, limbs = derivatives(markers), derivatives(landmark_sites(skeleton, LIMBS))
     prior = jnp.concatenate([jnp.ones(ROOT_DOF, usual.dtype), 1 / usual**2])
-    covariance = jnp.linalg.inv(J.T @ J / MARKER_M**2 + jnp.diag(prior))
-    spread = jnp.einsum("ij,jk,ik->i", limbs, covariance, limbs).reshape(-1, 3)
+    known = jnp.matmul(J.T, J, precision=HIGHEST) / MARKER_M**2
+    covariance = jnp.linalg.inv(known + jnp.diag(prior))
+    spread = jnp.sum(jnp.matmul(limbs, covariance, precision=HIGHEST) * limbs, -1).reshape(-1, 3)
     of_joints = jnp.sqrt(jnp.diag(covariance)[ROOT_DOF:])
     return jnp.sqrt(jnp.sum(spread, -1)), of_joints / usual
 

@@ -102,7 +102,8 @@ def read_c3d(path: str | Path) -> Markers:
 def _read(path: str | Path) -> _Content:
     """What ezc3d finds, in a process of its own, which a damaged file may take along."""
     regular_file(path)
-    script = [sys.executable, "-I", c3d_process.__file__]
+    # Packages may lie where only PYTHONPATH or the user's own folder leads, which -I would hide.
+    script = [sys.executable, "-P", c3d_process.__file__]
     command = [*script, os.path.realpath(path), str(MAX_MEMORY_BYTES)]
     # Each further thread of its libraries would take addresses.
     alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
@@ -113,6 +114,8 @@ def _read(path: str | Path) -> _Content:
     if done.returncode == c3d_process.EXIT_TOO_LARGE or b"bad_alloc" in done.stderr:
         most = f"{MAX_MEMORY_BYTES / 1e9:.2g} GB of memory"
         raise InputError(path, f"takes more than {most} to read, too large or damaged")
+    if done.returncode == c3d_process.EXIT_NO_READER:
+        raise InputError(path, "not read: ezc3d cannot be imported (pip install ezc3d)")
     if done.returncode:
         raise InputError(path, _DAMAGED)
     line, _, values = done.stdout.partition(b"\n")

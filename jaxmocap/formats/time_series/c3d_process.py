@@ -2,14 +2,14 @@
 
 INPUTS: a file's path, bytes of memory that may be used; this is run as a script, by ``c3d`` alone.
 OUTPUTS: on standard output a line of JSON, then the points (3, M, T) as float64, NaN where missing.
-Exit code 3 where there is not memory enough, 1 where the file cannot be read.
+Exit code 3 where there is not memory enough, 4 without ezc3d, 1 where the file cannot be read.
 """
 
 import json
 import sys
 from typing import Any
 
-EXIT_TOO_LARGE = 3
+EXIT_TOO_LARGE, EXIT_NO_READER = 3, 4
 WORD = 0xFFFF
 # What stands among the points and is none, by the groups that name it.
 OTHERS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
@@ -82,6 +82,8 @@ def read_to_stdout(path: str, most: int) -> int:
         output.flush()
     except MemoryError:
         return EXIT_TOO_LARGE
+    except ModuleNotFoundError:
+        return EXIT_NO_READER
     # ezc3d raises whatever its parser met: OSError, RuntimeError, ValueError, IndexError, ...
     except Exception:
         return 1

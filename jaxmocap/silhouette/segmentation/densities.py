@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.images.colours import LEVELS, lit_or_shaded_density
 
 # Bins of a histogram of grey levels.
@@ -51,7 +52,7 @@ def histogram_counts(bins: Array, weights: Array, count: int) -> Array:
 
 def grey_density(counts: Array) -> Array:
     """Counts (V, GREYS) as densities per grey level, smoothed."""
-    smoothed = counts @ jnp.asarray(_kernel(GREYS, GREY_BLUR))
+    smoothed = jnp.matmul(counts, jnp.asarray(_kernel(GREYS, GREY_BLUR)), precision=HIGHEST)
     return _share(smoothed) * (GREYS / 256)
 
 
@@ -59,7 +60,8 @@ def colour_density(counts: Array) -> Array:
     """Counts (V, LEVELS³) as densities per cubic grey level, smoothed along each channel."""
     kernel = jnp.asarray(_kernel(LEVELS, COLOUR_BLUR))
     cube = counts.reshape(-1, LEVELS, LEVELS, LEVELS)
-    smoothed = jnp.einsum("vabc,ai,bj,ck->vijk", cube, kernel, kernel, kernel)
+    each = (cube, kernel, kernel, kernel)
+    smoothed = jnp.einsum("vabc,ai,bj,ck->vijk", *each, precision=HIGHEST)
     return _share(smoothed.reshape(counts.shape)) * (LEVELS / 256) ** 3
 
 
