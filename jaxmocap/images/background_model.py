@@ -28,8 +28,12 @@ SAMPLED_ROWS = 40
 MOST_GAIN, LEAST_GAIN = 2.0, 0.005
 # Values by which an exposure is measured (grey levels), and the fewest of them.
 DARK, BRIGHT, FEWEST = 20, 245, 50
-# Shares of the sampled pixels that agree with the background where it is used not at all, fully.
-AGREEING = (0.25, 0.5)
+# Shares of the sampled pixels that agree with the background where it is used not at all, fully:
+# of those that no body hides, and, where these are too few, of all.
+AGREEING, AGREEING_OF_ALL = (0.6, 0.85), (0.25, 0.5)
+# Two frames show one room where so many pixels differ by less than so many grey levels, as a share
+# of how many do in frames that follow each other.
+SAME_ROOM, ALIKE_LEVELS = 0.65, 18
 # Rows at a time: what the processor's cache holds.
 ROWS = 8
 
@@ -76,7 +80,28 @@ def learn_background(
     chosen = spread(len(frames))
     frames = frames[chosen]
     free = np.ones(frames.shape[:3], bool) if bodies is None else ~bodies[chosen]
-    return background_of(equally_exposed(frames, free), free, share)
+    even = equally_exposed(frames, free)
+    alike = most_alike(even, free)
+    return background_of(even[alike], free[alike], share)
+
+
+def most_alike(frames: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Which of some frames (N, h, w, 3) show the room that most of them show, ascending.
+
+    A camera that was pushed shows another one from then on; of both together the median would be
+    neither. Only pixels (N, h, w) that no body hides count.
+    """
+    some = exposure_sample(frames[0])
+    few, open_ = frames[:, *some].astype(np.int16), free[:, *some]
+    shares = np.ones((len(few), len(few)))
+    for i, own in enumerate(few):
+        both = open_ & open_[i]
+        same = both & (np.abs(few - own).max(-1) < ALIKE_LEVELS)
+        counts = both.sum((1, 2))
+        shares[i] = np.where(counts < FEWEST, 1, same.sum((1, 2)) / np.maximum(counts, 1))
+    usual = np.median(np.diagonal(shares, 1)) if len(few) > 1 else 1.0
+    alike = shares >= SAME_ROOM * usual
+    return np.flatnonzero(alike[alike.sum(1).argmax()])
 
 
 def background_of(frames: np.ndarray, free: np.ndarray, share: float = 0.5) -> Background:
@@ -181,17 +206,28 @@ def undo_gains(frame: np.ndarray, gains: np.ndarray | None) -> np.ndarray:
     return cv2.LUT(frame, np.clip(np.rint(levels), 0, 255).astype(np.uint8))
 
 
-def exposure(frame: np.ndarray, background: Background) -> tuple[np.ndarray | None, float]:
-    """A frame's (h, w, 3) uint8 gains (3,) against a background, and how far it can be that room.
+def exposure(
+    frame: np.ndarray, background: Background, free: np.ndarray
+) -> tuple[np.ndarray | None, float]:
+    """A frame's gains (3,) against a background, and how far it can be that room.
 
-    None and 0 where the gains cannot be read. A black frame, a moved camera or a cut to something
-    else agrees with the background hardly anywhere: nothing then follows from a difference.
+    None and 0 where the gains cannot be read. A black frame, a moved camera, something that covers
+    half of the image or a cut to something else agrees with the background far too seldom:
+    nothing then follows from a difference.
+
+    Args:
+        frame: (h, w, 3) uint8.
+        background: of that size.
+        free: (h, w) bool, where the body cannot be.
     """
-    return _exposure(frame, background.part(exposure_sample(frame)))
+    some = exposure_sample(frame)
+    return _exposure(frame, background.part(some), free[some])
 
 
-def _exposure(frame: np.ndarray, few: Background) -> tuple[np.ndarray | None, float]:
-    """``exposure`` by the background at every so many pixels."""
+def _exposure(
+    frame: np.ndarray, few: Background, free: np.ndarray
+) -> tuple[np.ndarray | None, float]:
+    """``exposure`` by the background, and where no body is, at every so many pixels."""
     sure = np.flatnonzero(few.certainty > 0.5)
     some = frame[exposure_sample(frame)].reshape(-1, 3), few.colour.reshape(-1, 3)
     # Channel by channel: long rows are several times as fast as rows of three.
@@ -200,9 +236,11 @@ def _exposure(frame: np.ndarray, few: Background) -> tuple[np.ndarray | None, fl
     if gains is None:
         return None, 0.0
     away = np.abs(pixels / gains[:, None].astype(np.float32) - expected).max(0)
-    agreeing = float((away < 3 * few.noise.ravel()[sure]).mean())
-    low, high = AGREEING
-    return gains, float(np.clip((agreeing - low) / (high - low), 0, 1))
+    agreeing, elsewhere = away < 3 * few.noise.ravel()[sure], free.ravel()[sure]
+    is_enough = elsewhere.sum() >= FEWEST
+    low, high = AGREEING if is_enough else AGREEING_OF_ALL
+    share = float((agreeing[elsewhere] if is_enough else agreeing).mean())
+    return gains, float(np.clip((share - low) / (high - low), 0, 1))
 
 
 @dataclass
@@ -227,7 +265,8 @@ class RunningBackground:
         if self._counts is None or self._strangers >= self.patience:
             self._start(frame.shape)
         elif ((some := self._sample(frame)).certainty > 0).sum() >= FEWEST:
-            gains, agreement = _exposure(frame, some)
+            everywhere = np.ones(frame.shape[:2], bool) if body is None else ~body
+            gains, agreement = _exposure(frame, some, everywhere[exposure_sample(frame)])
             self._strangers = 0 if agreement > 0 else self._strangers + 1
             if agreement == 0:
                 return
@@ -245,8 +284,10 @@ class RunningBackground:
         """Every so many pixels; one sighting is good enough to read the exposure."""
         assert self._counts is not None
         some = exposure_sample(frame)
-        noise = np.maximum(self._noise[some], LEAST_NOISE)
-        return Background(self._colour[some], noise, np.minimum(self._counts[some], 1))
+        counts, noise = self._counts[some], np.maximum(self._noise[some], LEAST_NOISE)
+        # Of few sightings the noise is not known yet.
+        noise = np.where(counts > self.enough, noise, np.maximum(noise, MOST_NOISE))
+        return Background(self._colour[some], noise, np.minimum(counts, 1))
 
     def _start(self, shape: tuple[int, ...]) -> None:
         """Forget everything."""

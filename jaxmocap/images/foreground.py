@@ -16,6 +16,7 @@ from jaxmocap.images.background_model import (
     background_of,
     equally_exposed,
     exposure,
+    most_alike,
     spread,
     undo_gains,
 )
@@ -85,12 +86,15 @@ def log_odds(
         background: learned.
         colours: learned.
         alone: weight of the colours where no background was learned; with 0 the odds there are 0.
-        window: the part of the frame that is asked for.
+        window: the part of the frame that is asked for, with the body in it. Elsewhere the frame
+            must look like the background.
 
     Returns:
         (h, w) of the window, float32, slightly blurred; 0 where nothing was learned.
     """
-    gains, agreement = exposure(frame, background)
+    free = np.ones(frame.shape[:2], bool)
+    free[window] = False
+    gains, agreement = exposure(frame, background, free)
     frame, background = undo_gains(frame[window], gains), background.part(window)
     if agreement == 0:
         return np.zeros(frame.shape[:2], np.float32)
@@ -156,6 +160,8 @@ def learn_foreground(
     chosen = spread(len(frames))
     frames, cores, bodies = frames[chosen], cores[chosen], bodies[chosen]
     even = equally_exposed(frames, ~bodies)
+    alike = most_alike(even, ~bodies)
+    frames, cores, bodies, even = frames[alike], cores[alike], bodies[alike], even[alike]
     background, colours = background_of(even, ~bodies), learn_colours(frames, cores, bodies)
     # Elsewhere no body hides anything.
     box = box_about(np.asarray(bodies.any(0)))
