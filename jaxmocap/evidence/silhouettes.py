@@ -70,6 +70,11 @@ class SilhouetteGrids(NamedTuple):
     per_metre: Array | np.ndarray
     legs: LegGrid | None = None  # the lower half; None where nobody looked
 
+    @property
+    def recognised(self) -> np.ndarray:
+        """(...) whether any pixel speaks for the person, or against."""
+        return np.asarray(np.asarray(self.person.weight).any((-2, -1)))
+
     def each_grid(self, call: Callable[[Grid], Grid]) -> "SilhouetteGrids":
         """The same with every grid changed."""
         legs = self.legs and self.legs._replace(person=call(self.legs.person))

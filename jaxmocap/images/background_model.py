@@ -31,9 +31,9 @@ DARK, BRIGHT, FEWEST = 20, 245, 50
 # Shares of the sampled pixels that agree with the background where it is used not at all, fully:
 # of those that no body hides, and, where these are too few, of all.
 AGREEING, AGREEING_OF_ALL = (0.6, 0.85), (0.25, 0.5)
-# Two frames show one room where so many pixels differ by less than so many grey levels, as a share
-# of how many do in frames that follow each other.
-SAME_ROOM, ALIKE_LEVELS = 0.65, 18
+# Pixels agree at least up to so many grey levels. Two frames show one room where so many do, as a
+# share of those in frames that follow each other.
+ALIKE_LEVELS, SAME_ROOM = 18, 0.65
 # Rows at a time: what the processor's cache holds.
 ROWS = 8
 
@@ -236,7 +236,8 @@ def _exposure(
     if gains is None:
         return None, 0.0
     away = np.abs(pixels / gains[:, None].astype(np.float32) - expected).max(0)
-    agreeing, elsewhere = away < 3 * few.noise.ravel()[sure], free.ravel()[sure]
+    agreeing = away < np.maximum(3 * few.noise.ravel()[sure], ALIKE_LEVELS)
+    elsewhere = free.ravel()[sure]
     is_enough = elsewhere.sum() >= FEWEST
     low, high = AGREEING if is_enough else AGREEING_OF_ALL
     share = float((agreeing[elsewhere] if is_enough else agreeing).mean())

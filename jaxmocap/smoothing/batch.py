@@ -121,6 +121,9 @@ def smooth_recording(
     if solved is None:
         return None
     trajectory = with_deviations(*solved, FINELY[-1])
+    views, unrecognised = solved.problem.views, np.zeros(first_pass.frame_index.shape, bool)
+    unrecognised[views.frame, views.camera] = ~views.grids.recognised
+    trajectory = trajectory._replace(unrecognised=unrecognised)
     if why:
         solved = solved._replace(trajectory=trajectory)
         trajectory = leave_one_out(*solved, FINELY[-1], lambda done: show(0.8 + 0.2 * done))

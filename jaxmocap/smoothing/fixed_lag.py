@@ -94,6 +94,8 @@ class SmoothedPose(NamedTuple):
     # (L,) 1 where markers and video leave a landmark almost as uncertain as it is without them,
     # else 0.
     from_prior: np.ndarray
+    # Cameras with a new image in which nothing of the person was recognised.
+    unrecognised: tuple[int, ...] = ()
 
 
 class FixedLagSmoother:
@@ -281,11 +283,22 @@ class FixedLagSmoother:
         if final:
             track += between_events(events, len(events), self._between)
         poses = track_poses(self._person, [self._fade(each) for each in track])
-        deviations = self._deviations(found)
+        deviations, unrecognised = (
+            self._deviations(found),
+            {
+                events[i].number: tuple(
+                    c for c, frame, _ in events[i].frames if not frame.odds.any()
+                )
+                for i in ready
+            },
+        )
         return [
-            SmoothedPose(each.number, each.time, unpack(pose), deviations, found.from_prior)
+            SmoothedPose(
+                each.number, each.time, unpack(pose), deviations, found.from_prior,
+                unrecognised.get(each.number, ()),
+            )
             for each, pose in zip(track, poses, strict=True)
-        ]
+        ]  # fmt: skip
 
     def _deviations(self, found: Advanced) -> np.ndarray:
         """(L, 3) of what is given out, metres."""

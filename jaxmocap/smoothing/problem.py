@@ -129,6 +129,8 @@ class Trajectory(NamedTuple):
         from_prior: (T, L) 1 where markers and video leave a landmark almost as uncertain as it is
             without them, else 0; None likewise.
         left_out: how sure it would be without each part of the evidence; None likewise.
+        unrecognised: (T, C) whether a camera has a frame in which nothing of the person was
+            recognised; None likewise.
     """
 
     poses: Pose
@@ -137,6 +139,7 @@ class Trajectory(NamedTuple):
     deviations: np.ndarray | None = None
     from_prior: np.ndarray | None = None
     left_out: tuple[LeftOut, ...] | None = None
+    unrecognised: np.ndarray | None = None
 
     def person(self, skeleton: Skeleton) -> Skeleton:
         """The skeleton with the estimated proportions."""

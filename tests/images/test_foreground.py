@@ -14,14 +14,17 @@ from jaxmocap.images.background_model import (
     LEAST_NOISE,
     Background,
     RunningBackground,
+    equally_exposed,
     exposure,
     learn_background,
+    most_alike,
     nth_smallest,
     undo_gains,
 )
 from jaxmocap.images.colours import BINS, Colours, RunningColours, colour_bins, learn_colours
 from jaxmocap.images.foreground import (
     MOST_ODDS,
+    box_about,
     learn_foreground,
     log_odds,
     person_grids,
@@ -162,6 +165,46 @@ def test_gain_is_read_past_somebody_in_the_way():
     assert agreement == 1
     assert np.abs(restored[free] - background.colour[free]).mean() < 2
     assert np.abs(brighter[free] - background.colour[free]).mean() > 10
+
+
+def test_a_frame_that_is_covered_beside_the_person_says_nothing():
+    frames, shown, reach = clip(np.full(FRAMES, 4.0) + np.arange(FRAMES) / 2)
+    background, colours = learn_foreground(frames, core(shown), reach)
+    window = box_about(reach[0])
+    whole = log_odds(frames[0], background, colours, window=window)
+    assert np.abs(whole).max() > 2
+    covered = frames[0].copy()
+    covered[:, WIDTH // 2 :] = 90
+    np.testing.assert_array_equal(log_odds(covered, background, colours, window=window), 0)
+
+
+def pushed() -> Clip:
+    """Of the last 9 of 24 frames the camera shows the room 12 pixels further."""
+    frames, shown, reach = clip(walking())
+    rough = np.random.default_rng(4).normal(0, 25, (HEIGHT, WIDTH, 1))
+    frames = np.clip(np.where(shown[..., None], frames, frames + rough), 0, 255).astype(np.uint8)
+    frames[-9:], reach = np.roll(frames[-9:], 12, 2), reach | np.roll(reach, 12, 2)
+    return frames, shown, reach
+
+
+def test_a_background_is_of_the_frames_before_a_camera_was_pushed_or_after():
+    frames, shown, reach = pushed()
+    np.testing.assert_array_equal(most_alike(frames, ~reach), np.arange(15))
+    together = learn_background(frames, reach)
+    alone = learn_background(frames[:15], reach[:15])
+    np.testing.assert_array_equal(together.colour, alone.colour)
+    background, colours = learn_foreground(frames, core(shown), reach)
+    odds = [log_odds(frame, background, colours, window=box_about(reach[0])) for frame in frames]
+    assert [bool(own.any()) for own in odds] == [True] * 15 + [False] * 9
+
+
+@pytest.mark.parametrize("noise", [1.0, 6.0, 12.0])
+def test_frames_of_a_noisy_camera_are_alike(noise):
+    frames, _, reach = clip(walking(), 1 + 0.2 * np.sin(np.arange(FRAMES)), noise)
+    even = equally_exposed(frames, ~reach)
+    assert len(most_alike(even, ~reach)) == FRAMES
+    running = learned(frames, reach)
+    assert np.abs(running.background().colour - wall()).mean() < 8
 
 
 @pytest.mark.parametrize("what", ["black", "white", "another room"])

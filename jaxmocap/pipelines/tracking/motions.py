@@ -62,14 +62,17 @@ def low_pass_poses(times: np.ndarray, poses: Pose, skeleton: Skeleton, cutoff: f
     return Pose(place, turn, np.clip(angles, *np.asarray(skeleton.limits).T))  # type: ignore[arg-type]
 
 
-def join_outputs(final: Sequence[SmoothedPose]) -> Trajectory:
-    """What a fixed-lag smoother gave out of all events, in order."""
+def join_outputs(final: Sequence[SmoothedPose], cameras: int) -> Trajectory:
+    """What a fixed-lag smoother of so many cameras gave out of all events, in order."""
     poses = jax.tree.map(lambda *parts: np.stack(parts), *(each.pose for each in final))
     deviations, from_prior = (
         np.stack([getattr(each, name) for each in final]) for name in ("deviations", "from_prior")
     )
-    dtype = poses.angles.dtype
-    return Trajectory(poses, np.zeros(0, dtype), deviations=deviations, from_prior=from_prior)
+    unrecognised = np.zeros((len(final), cameras), bool)
+    for each, own in zip(final, unrecognised, strict=True):
+        own[list(each.unrecognised)] = True
+    found = {"deviations": deviations, "from_prior": from_prior, "unrecognised": unrecognised}
+    return Trajectory(poses, np.zeros(0, poses.angles.dtype), **found)
 
 
 def motions(
@@ -106,7 +109,7 @@ def motions(
         milliseconds={stage: np.array(times) for stage, times in milliseconds.items()},
         settings=settings,
     )
-    listed = _warnings(events, first_pass, report.elbow_deviations)
+    listed = _warnings(events, first_pass, trajectory.unrecognised, report.elbow_deviations)
     report = replace(report, statuses=listed)
     alone = _motion(events, model.skeleton, first_pass.reports.marker_pose)
     return Tracked(_motion(events, person, trajectory.poses, report), alone)
@@ -131,11 +134,22 @@ def _motion(
 
 
 def _warnings(
-    events: RecordingEvents, first_pass: FirstPass, elbow_deviations: np.ndarray
+    events: RecordingEvents,
+    first_pass: FirstPass,
+    unrecognised: np.ndarray | None,
+    elbow_deviations: np.ndarray,
 ) -> tuple[tuple[str, ...], ...]:
-    """Of each sample, by its elbows' deviations (T, 2), metres, too."""
+    """Of each sample, by cameras without a person (E, C), and its elbows' (T, 2) deviations, too.
+
+    Deviations are metres.
+    """
     before = (("no marker has been measured yet",),) * events.before
-    listed = events.sample_warnings(first_pass.warnings)
+    of_events = [list(own) for own in first_pass.warnings]
+    names = [source.camera_name for source in events.recording.videos]
+    for event, camera in () if unrecognised is None else np.argwhere(unrecognised).tolist():
+        if not any(own.startswith(f"{names[camera]}: ") for own in of_events[event]):
+            of_events[event].append(f"{names[camera]}: nothing of the person is recognised")
+    listed = events.sample_warnings(of_events)
     unsure = map(elbow_warnings, elbow_deviations[len(before) :])
     joined = ((*own, *more) for own, more in zip(listed, unsure, strict=True))
     # One of those that are equal: a marker that is missing is missing for long.

@@ -154,7 +154,7 @@ def track_both(
             )
         else:
             first, final = scan_events(events, tracker, readers, show, clock), []
-    trajectory, passed = join_outputs(final) if smoother else None, perf_counter()
+    trajectory, passed = join_outputs(final, len(used)) if smoother else None, perf_counter()
     if smooth and not causal:
         with progress_bar("smoothing", progress, "compiling") as show:
             trajectory = clock.time_stage(
