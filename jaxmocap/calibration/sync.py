@@ -116,7 +116,7 @@ def estimate_video_offsets(recording: Recording, search: float = 1.0) -> list[Vi
         raise InputError(where, "[[video]] is missing, there is nothing to align with the markers")
     paths = hand_paths(recording.require_markers())
     if not paths:
-        raise InputError(where, "[markers.on]: no marker is present in four samples or more")
+        raise InputError(where, "[markers.on]: no hand's marker is present in four samples or more")
     offsets = []
     for source in recording.videos:
         video, lags = open_video(source), []

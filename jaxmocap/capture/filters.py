@@ -16,6 +16,8 @@ from jaxmocap.formats.recordings.filters import Filters, OneEuroSettings
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.tables import is_even, usual_step
 
+# The key of the low-pass, in messages.
+BUTTERWORTH = "[markers.filters] butterworth"
 # Hampel's identifier looks so far to each side, seconds and samples at least.
 HAMPEL_HALF_WINDOW_S = 0.05
 HAMPEL_MIN_HALF_WINDOW = 3
@@ -86,7 +88,7 @@ def filter_markers(recording: Recording, causal: bool = False) -> tuple[Recordin
         positions = fill_gaps(times, positions, filters.gaps)
         filled = before & ~_is_missing(positions)
     if filters.butterworth is not None and "butterworth" in applied:
-        check_cutoff(recording, filters.butterworth, "[markers.filters] butterworth")
+        check_cutoff(recording, filters.butterworth, BUTTERWORTH)
         if not is_even(times):
             warnings.append(
                 "unevenly spaced samples went through the Butterworth filter as if even"

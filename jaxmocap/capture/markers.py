@@ -61,8 +61,9 @@ LATE_INTERVALS = 1.6
 class RecentMarkers:
     """The newest samples of M markers, each at its own rate."""
 
-    def __init__(self, markers: int):
-        """Of so many markers, without a sample yet."""
+    def __init__(self, markers: int, delay_s: float = 0.0):
+        """Of so many markers, without a sample yet; asked for times so long ago, too."""
+        self._kept_s = KEPT_S + delay_s
         self._times: list[list[float]] = [[] for _ in range(markers)]
         self._points: list[list[np.ndarray]] = [[] for _ in range(markers)]
 
@@ -73,7 +74,7 @@ class RecentMarkers:
                 times, points = self._times[marker], self._points[marker]
                 times.append(time)
                 points.append(point)
-                if len(times) > KEPT_SAMPLES and times[0] < time - KEPT_S:
+                if len(times) > KEPT_SAMPLES and times[0] < time - self._kept_s:
                     del times[0], points[0]
 
     def at(self, time: float) -> np.ndarray:

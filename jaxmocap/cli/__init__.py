@@ -3,6 +3,7 @@
 Everything is imported within ``enter``: Ctrl-C ends it with one line from the first moment on.
 """
 
+import io
 import os
 import sys
 
@@ -28,6 +29,10 @@ def enter() -> "NoReturn":
             signal.signal(signal.SIGINT, _end_interrupted)
         from jaxmocap.cli.program import main
 
+        for stream in (sys.stdout, sys.stderr):
+            # A pipe of a system whose encoding lacks a character shows its number.
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors="backslashreplace")
         if not is_ignored:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         code = main()
@@ -46,7 +51,7 @@ def end_process(code: int) -> "NoReturn":
 
     Where the interpreter ends while a daemon thread is in foreign code (a driver that does not
     answer, a viewer's library), it unwinds that thread through C++, which aborts the process. And
-    where a command is interrupted, the interpreter would wait for what still compiles.
+    it would wait for what still compiles.
     """
     import threading
     from contextlib import suppress
@@ -57,7 +62,7 @@ def end_process(code: int) -> "NoReturn":
     others = set(threading.enumerate()) - {threading.current_thread()}
     if any(thread.daemon for thread in others):
         os._exit(code)
-    if others and code > SIGNAL_EXIT_CODE:
+    if others:
         timer = threading.Timer(LONGEST_WAIT_S, os._exit, (code,))
         timer.daemon = True
         timer.start()

@@ -14,6 +14,7 @@ from jaxmocap.cli.command import names
 from jaxmocap.formats.files.errors import InputError
 
 if TYPE_CHECKING:
+    from jaxmocap.capture.timeline import Mode
     from jaxmocap.formats.recordings.recording import Recording
     from jaxmocap.hybrid.settings import Settings
 
@@ -39,6 +40,11 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.toml",
         help="any of the tracker's settings by name; 'jaxmocap help settings' lists them",
     )
+
+
+def mode_of(options: argparse.Namespace, settings: Settings) -> Mode:
+    """How video frames and samples come together: as the options say, or else the settings."""
+    return options.mode or ("own" if settings.search or settings.smooth else "nearest")
 
 
 def settings_of(options: argparse.Namespace, smooth: bool | None = None) -> Settings:

@@ -26,7 +26,8 @@ from jaxmocap.hybrid.settings import IKSettings
 LEAN = np.array([3, 4], np.int32)
 # The squat that the factors are computed for, metres, and the depths on the way.
 SQUAT, DEPTHS = 0.3, 6
-# A foot higher above the other, or above the ground, than this is lifted, metres.
+# A foot is lifted that is higher above the other than this, or above the ground than twice this,
+# metres.
 LIFTED = 0.04
 # A pelvis sunk by less leaves the pose as it is, metres.
 LEAST_SINKING = 0.005

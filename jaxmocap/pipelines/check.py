@@ -12,6 +12,7 @@ from jaxmocap.calibration.static_trial import measured_bones
 from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.cameras import MarkerVisibility, check_recording, marker_visibility
 from jaxmocap.capture.checks.lengths import bone_list, check_stretched_arms
+from jaxmocap.capture.filters import BUTTERWORTH, check_cutoff
 from jaxmocap.capture.footage import open_unchecked
 from jaxmocap.capture.keypoints import open_keypoints
 from jaxmocap.capture.photographs import read_empty_room
@@ -101,6 +102,8 @@ def check(recording: Recording) -> RecordingCheck:
         InputError: a file of it cannot be used.
     """
     videos, warnings = open_unchecked(recording.require_markers())
+    if recording.filters.butterworth is not None:
+        check_cutoff(recording, recording.filters.butterworth, BUTTERWORTH)
     times = [video.times for video in videos]
     for source, video in zip(recording.videos, videos, strict=True):
         if source.background is not None:

@@ -271,7 +271,7 @@ class FixedLagSmoother:
     def _give(self, found: Advanced, final: bool) -> list[SmoothedPose]:
         """What has waited long enough, and all of it in the end."""
         events, ready = self._events, range(*found.given)
-        if not ready:
+        if not ready and not (final and self._between):
             return []
         if self._fading is not None:
             self._fading = self._fading.correct(found.correction.astype(float))

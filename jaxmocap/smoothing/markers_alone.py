@@ -20,7 +20,7 @@ from jaxmocap.geometry.rows import GatheredRows
 from jaxmocap.smoothing.batch import FINELY, measurements_of
 from jaxmocap.smoothing.linearise import rows_of, smooth_poses
 from jaxmocap.smoothing.problem import UNTURNED, FirstPass, SmoothingProblem, Trajectory, Views
-from jaxmocap.smoothing.settings import SmoothingSettings, weigh_by_time
+from jaxmocap.smoothing.settings import SmoothingSettings, mean_step, weigh_by_time, with_lasting
 from jaxmocap.smoothing.uncertainty import leave_one_out, with_deviations
 from jaxmocap.smoothing.walking import usual_habits, walkers_measurements
 
@@ -66,7 +66,10 @@ def smooth_markers(
     own, at = _among(problem, start, some)
     found = smooth_poses(own, at, FINELY).trajectory
     if why:
-        found = leave_one_out(own, found, FINELY[-1], lambda done: show(0.5 * done))
+        # Fewer events a second share what errs alike for long.
+        share = mean_step(own.times) / mean_step(first_pass.times)
+        fewer = replace(own, settings=with_lasting(own.settings, share**-0.5))
+        found = leave_one_out(fewer, found, FINELY[-1], lambda done: show(0.5 * done))
     show(0.5 if len(some) < count else 0.9)
     if len(some) == count:
         found = with_deviations(own, found, FINELY[-1])

@@ -140,11 +140,16 @@ def leave_one_out(
     each = list(_parts(soft))
     with two_workers() as workers:
         for done, (kind, which, without) in enumerate(each):
-            prior = without.motion_prior()
-            variances = _variances(without, softness, workers, there, prior)
+            show(done / len(each))
+            try:
+                prior = without.motion_prior()
+                variances = _variances(without, softness, workers, there, prior)
+            except np.linalg.LinAlgError:
+                # Nothing of a few samples is determined without it.
+                continue
             three = deviations_of(variances, mismatch)
             result.append(LeftOut(kind, which, np.median(np.linalg.norm(three, axis=-1), 0)))
-            show((done + 1) / len(each))
+    show(1.0)
     return trajectory._replace(left_out=tuple(result))
 
 
@@ -196,7 +201,8 @@ def _parts(problem: SmoothingProblem) -> Iterator[tuple[str, int | str | None, S
             yield "prior", field.name, replace(problem, settings=weaker)
     # What is usual is evidence once in every moment, where none is tied to others.
     loose = np.asarray(settings.acceleration) * NOTHING
-    apart = replace(by_itself, silhouettes=settings.silhouettes, acceleration=loose)
+    once = {name: getattr(settings, name) for name in ("silhouettes", "keypoints")}
+    apart = replace(by_itself, **once, acceleration=loose)
     yield "prior", "motion", replace(problem, settings=apart)
 
 

@@ -95,10 +95,10 @@ class MarkerStream(MarkerSource):
                     )
                     messages.append(MarkerMessage((name,), (x, y, z), quaternion))
             if messages:
-                self.last_arrival = arrived
                 is_prompt = not inlet.samples_available()
                 time = sender.time(arrived, stamp, is_prompt)
-                self._assembler.add(messages, time, arrived, True)
+                if self._assembler.add(messages, time, arrived, True):
+                    self.last_arrival = arrived
             self.last_look = arrived
 
     def _channels(self, info: Any) -> dict[str, tuple[int, tuple[float, ...], bool]]:

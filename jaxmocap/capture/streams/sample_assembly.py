@@ -80,10 +80,11 @@ class SampleAssembler:
 
     def add(
         self, messages: Iterable[MarkerMessage], time: float, arrived: float, is_complete: bool
-    ) -> None:
+    ) -> bool:
         """Take what one packet brought, by when it was sent and when it came in, seconds.
 
         Where it ``is_complete``, nothing else belongs to it, no earlier orientation either.
+        Whether any of it is about a marker of ours.
         """
         found = [(each, self._marker(each)) for each in messages]
         if self._messages and (is_complete or time - self._time > TOGETHER_S):
@@ -114,6 +115,7 @@ class SampleAssembler:
         alive = np.flatnonzero(arrived - self._last_arrivals < SENT_WITHIN_S)
         if self._messages and (is_complete or len(self._messages) >= len(alive)):
             self._flush()
+        return any(marker is not None for _, marker in found)
 
     def has_marker(self, name: str) -> bool:
         """Whether a sender's name is a marker's."""

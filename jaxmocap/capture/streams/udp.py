@@ -137,9 +137,9 @@ class MarkerSocket(MarkerSource):
         newest = {} if more_wait else {sender: datagram for datagram, sender, _ in read}
         for datagram, sender, packet in read:
             is_prompt = newest.get(sender) is datagram
-            self.last_arrival = datagram.arrived
             time = sender.time(datagram.arrived, packet.stamp, is_prompt)
-            self._assembler.add(packet.markers, time, datagram.arrived, packet.is_bundle)
+            if self._assembler.add(packet.markers, time, datagram.arrived, packet.is_bundle):
+                self.last_arrival = datagram.arrived
         # Only now, so that nobody who looks meanwhile misses what came with them.
         self.last_look = now
 

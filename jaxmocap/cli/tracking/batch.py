@@ -7,7 +7,7 @@ failed. What an earlier run has tracked is kept.
 import argparse
 
 from jaxmocap.cli.command import exit_code, positive_number, positive_whole_number, report
-from jaxmocap.cli.recording_options import add_settings, settings_of
+from jaxmocap.cli.recording_options import add_settings, mode_of, settings_of
 
 PURPOSE = "track every recording in a folder, side by side"
 EXAMPLE = "jaxmocap batch recordings --out tracked --workers 2"
@@ -39,7 +39,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         dest="mode",
         action="store_const",
         const="causal",
-        default="own",
         help="see 'track'",
     )
 
@@ -47,11 +46,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     from jaxmocap.pipelines.batch.batch import track_corpus
 
+    settings = settings_of(options)
     batch = track_corpus(
         options.corpus,
         options.out,
-        settings_of(options),
-        options.mode,
+        settings,
+        mode_of(options, settings),
         scheduler=options.scheduler,
         workers=options.workers,
         timeout_s=options.job_timeout,

@@ -7,7 +7,13 @@ exit code 1 where the body is far off its markers.
 import argparse
 
 from jaxmocap.cli.command import exit_code, positive_number, report
-from jaxmocap.cli.recording_options import add_cameras, add_settings, recording_of, settings_of
+from jaxmocap.cli.recording_options import (
+    add_cameras,
+    add_settings,
+    mode_of,
+    recording_of,
+    settings_of,
+)
 
 PURPOSE = "track a recording"
 EXAMPLE = "jaxmocap track recording.toml --out tracked"
@@ -67,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
 
     keep_compiled()
     settings, recording = settings_of(options), recording_of(options)
-    mode = options.mode or ("own" if settings.search or settings.smooth else "nearest")
+    mode = mode_of(options, settings)
     # Whether the folder can be written to, before any work.
     tracked_folder(options.out, recording, [OPENSIM_FILE] if options.names else [])
     motion = track_both(recording, settings, mode=mode, progress=True, why=options.why).motion

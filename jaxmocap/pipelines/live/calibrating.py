@@ -38,6 +38,8 @@ COUNTDOWN_S = 5.0
 STILL_S = 2.0
 # Samples of each device within them, at least.
 MIN_SAMPLES = 10
+# As many as all senders together may send while somebody stands still.
+MOST_SAMPLES = 10_000
 # Devices stand still where they move by less: metres and degrees (RMS).
 STILL_M = 0.015
 STILL_DEG = 4.0
@@ -104,7 +106,7 @@ class _Listening:
 
     def __init__(self, setup: LiveSetup, status: LiveStatus, stop: threading.Event):
         self._began, self._setup, self._status, self._stop = monotonic(), setup, status, stop
-        self._samples: deque[MarkerSample] = deque(maxlen=2000)
+        self._samples: deque[MarkerSample] = deque(maxlen=MOST_SAMPLES)
         assembler = SampleAssembler(
             setup.marker_names, setup.source.aliases, setup.R_world_source, self._samples.append
         )
@@ -157,7 +159,7 @@ class _Listening:
     def stand_still(self) -> tuple[np.ndarray, np.ndarray] | None:
         """The samples of the first seconds in which all devices stood still."""
         self._status.log(self.now(), "stand still")
-        until, problem = self.now() + PATIENCE_S, "no device came in"
+        until, problem = self.now() + PATIENCE_S, "too few samples came in"
         self._samples.clear()
         while self.now() < until:
             if self._stop.wait(POLL_S):

@@ -212,6 +212,8 @@ class LiveRecording:
         on = {
             place.name: _marker_entry(place, bool(has_orientation))
             for place, has_orientation in zip(self._setup.places, self._oriented, strict=True)
+            # Its place on the bone is not known without it.
+            if has_orientation or place.offset_in != "marker"
         }
         markers = MARKERS_FILE if there[0] else None
         calibration = next((name for name in self._copies if name.startswith("calib")), None)

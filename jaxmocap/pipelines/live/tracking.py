@@ -11,7 +11,7 @@ INPUTS: Samples, Frames. OUTPUTS: Outputs.
 
 from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from copy import copy
 from threading import Event
 from time import sleep
@@ -85,7 +85,8 @@ class LiveTracking:
         self._cameras, self._smooth = len(cameras), smooth
         # A frame may come so much later than it was taken.
         offsets = [video.offset for video in setup.videos]
-        self._longest_wait = REORDERING_S + max(0.0, -min(offsets, default=0.0))
+        self._delay = max(0.0, -min(offsets, default=0.0))
+        self._longest_wait = REORDERING_S + self._delay
         if problem := unused_setting(settings, smooth, causal=True):
             raise ValueError(problem)
         if tracker is None:
@@ -119,10 +120,8 @@ class LiveTracking:
             sleep(0.01)
 
     def close(self) -> None:
-        """Compile no more; waits for what is being compiled."""
+        """Compile no more than what is being compiled, which goes on beside."""
         self._ended.set()
-        if self._compiling is not None:
-            wait([self._compiling])
 
     def _reset(self) -> None:
         """Forget who was tracked."""
@@ -133,8 +132,9 @@ class LiveTracking:
         self._last_frame = self._last_frame_arrived = -np.inf
         # Camera -> when its newest frame was taken, and when it came.
         self._newest_frames: dict[int, tuple[float, float]] = {}
+        self._newest_sample = -np.inf
         points = len(self.tracker.model.markers.bones)
-        self._recent_markers = RecentMarkers(points)
+        self._recent_markers = RecentMarkers(points, self._delay)
         self._filtered = None if self._filter is None else initial_state(points)
         model, settings = self.tracker.model, self.tracker.settings.smoothing
         self._smoother = FixedLagSmoother(model, settings) if self._smooth else None
@@ -191,6 +191,7 @@ class LiveTracking:
             )
             return [self._output(sample.time, pose, np.full(2, np.nan), sample.arrived)]
         if self._smoother is not None:
+            self._newest_sample = max(self._newest_sample, sample.time)
             return self._in_order([sample])
         pose, report = self._step(sample.time, self._with_gaps_filled(sample), None)
         return [self._output(sample.time, pose, report.elbow_deviations, sample.arrived)]
@@ -251,11 +252,12 @@ class LiveTracking:
         if not np.isfinite(self._last_frame_arrived):
             self._last_frame_arrived = newest
         is_seen = self._cameras and newest - self._last_frame_arrived < UNSEEN_S
-        # No camera's next frame is older than its last one.
+        # No camera's next frame is older than its last one, nor is the markers' next sample.
         each = self._newest_frames.values()
         newest_taken = [taken for taken, arrived in each if newest - arrived < UNSEEN_S]
         until = newest - (self._longest_wait if is_seen else 0.0)
-        return self._release(max(until, min(newest_taken, default=until)))
+        all_taken = min([*newest_taken, self._newest_sample]) if newest_taken else until
+        return self._release(max(until, all_taken))
 
     def _release(self, until: float) -> list[Output]:
         outputs = []
@@ -303,5 +305,5 @@ class LiveTracking:
     ) -> Output:
         """An output, its deviations unknown where cameras have brought no frame of late."""
         alone = self._smooth and not self._cameras
-        is_stated = alone or time - self._last_frame < UNSEEN_S
+        is_stated = alone or time - self._last_frame < UNSEEN_S + self._delay
         return Output(time, pose, np.where(is_stated, deviations, np.nan), arrived)

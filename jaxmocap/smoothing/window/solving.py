@@ -32,6 +32,8 @@ SOFTNESS = 0.8
 # A silhouette's quadratic holds while no landmark moves farther than this, metres: about half a
 # cell, over which its borders fade.
 NEAR_M = 0.012
+# Events are taken to be at least so far apart, seconds: single precision has no differences of less.
+LEAST_APART_S = 1e-3
 # Events that are linearised at once.
 AT_ONCE = 4
 # Share of the events' own curvature that holds them back. So many times as much, and again, where a
@@ -116,7 +118,8 @@ def evidence_of(
         there = jnp.einsum("eij,ej->ei", drawn.hessian, drawn.step, precision=HIGHEST)
         hessian = hessian + share * drawn.hessian
         gradient = gradient + share * (drawn.gradient - there)
-    stencil = second_differences(jnp.cumsum(events.since)) / settings.acceleration
+    since = jnp.maximum(events.since, LEAST_APART_S)
+    stencil = second_differences(jnp.cumsum(since)) / settings.acceleration
     stencil = jnp.pad(stencil, ((0, REACH), (0, 0)))
     ties = jnp.arange(len(stencil), dtype=jnp.int32) + REACH < events.filled
     stencil = jnp.where(ties[:, None], stencil, 0.0)

@@ -79,12 +79,12 @@ def _on_cubic(own_times: np.ndarray, points: np.ndarray, times: np.ndarray) -> n
     rows = np.clip(start[:, None] + np.arange(-1, 3), 0, last)
     spans, ways = np.diff(own_times[rows]).T, np.diff(points[rows], axis=1).swapaxes(0, 1)
     share = (times - own_times[start]) / spans[1]
-    is_near = (spans[1] <= LONGEST_INTERVAL_S) & (share <= 2)
+    is_near = (spans[1] <= LONGEST_INTERVAL_S) & (share >= -1) & (share <= 2)
     spans = np.where((spans > 0) & (spans <= LONGEST_INTERVAL_S), spans, ENDLESS_S)
     column = len(times), *[1] * (points.ndim - 1)
     t, s, near = spans.reshape(3, *column), share.reshape(column), is_near.reshape(column)
     first, way, last_way = ways
-    on = np.where(s > 1, s * way, cubic_step(first, way, last_way, t, s))
+    on = np.where((s > 1) | (s < 0), s * way, cubic_step(first, way, last_way, t, s))
     return np.where(near, points[start] + on, np.nan)
 
 
