@@ -171,9 +171,13 @@ def in_blocks(function: Callable[[Skeleton, Pose], Any], skeleton: Skeleton, pos
     Args:
         function: of a skeleton and poses (N, ...), to a tree of arrays (N, ...).
         skeleton: of the poses.
-        poses: at least one.
+        poses: any number.
     """
     count = len(poses.angles)
+    if not count:
+        one = (np.zeros((1, *part.shape[1:]), part.dtype) for part in poses)
+        rows = jax.eval_shape(function, skeleton, Pose(*map(on_device, one)))
+        return jax.tree.map(lambda part: np.empty((0, *part.shape[1:]), part.dtype), rows)
     # Motions of many lengths share few compilations: the last pose fills up to a power of two.
     size = min(max(FEWEST, 1 << (count - 1).bit_length()), MOST)
     gathered = GatheredRows(count)

@@ -94,7 +94,7 @@ def stretch_points(skeleton: Skeleton, points: BodyPoints, logarithms: Array) ->
 
 
 def covariance_among_people(count: int) -> np.ndarray:
-    """Of logarithms (P,), (P, P); all lengths but the two of every recording share a stature."""
+    """Of logarithms (P,), (P, P); lengths, if more than every recording's two, share a stature."""
     chosen = (*LENGTHS, *GIRTHS)[:count]
     independent = np.diag([proportion.deviation**2 for proportion in chosen])
     if count <= len(PROPORTIONS):

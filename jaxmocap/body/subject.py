@@ -122,10 +122,14 @@ def _trunk_vectors(landmarks: dict[str, np.ndarray]) -> dict[tuple[str, ...], np
     R_trunk_world = np.stack([x, np.cross(z, x), z], -2)
 
     def vector(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return np.nanmedian(np.einsum("tij,tj->ti", R_trunk_world, b - a), axis=0)
+        each = np.einsum("tij,tj->ti", R_trunk_world, b - a)
+        if not np.isfinite(each).all(-1).any():
+            raise ValueError("found neck, hips and shoulders in no common frame")
+        return np.nanmedian(each, axis=0)
 
     vectors: dict[tuple[str, ...], np.ndarray] = {TRUNK: vector(pelvis, landmarks["neck"])}
-    if "vertex" in landmarks and np.isfinite(landmarks["vertex"]).all(-1).any():
+    vertex = landmarks.get("vertex", np.full_like(pelvis, np.nan))
+    if np.isfinite(vertex - landmarks["neck"] + pelvis).all(-1).any():
         vectors[NECK_HEAD] = vector(landmarks["neck"], landmarks["vertex"])
     for side in "lr":
         vectors[(f"clavicle_{side}",)] = vector(landmarks["neck"], landmarks[f"shoulder_{side}"])

@@ -103,15 +103,16 @@ def estimated_depths(
             missing.
     """
     rest = np.asarray(landmark_positions(skeleton, relaxed_pose(skeleton)))
-    own, theirs = 0.0, np.zeros(len(joints_cam))
+    own, theirs = 0.0, 0.0
     for ends in LIMBS:
         if set(ends) <= set(landmarks):
-            near, far = landmark_rows(ends)
-            own += float(np.linalg.norm(rest[far] - rest[near]))
             near, far = (landmarks.index(end) for end in ends)
-            theirs += np.linalg.norm(joints_cam[:, far] - joints_cam[:, near], axis=-1)
-    size = float(np.nanmedian(theirs)) if np.isfinite(theirs).any() else 0.0
-    return joints_cam[..., 2] * (own / size if size else 1.0)
+            spans = np.linalg.norm(joints_cam[:, far] - joints_cam[:, near], axis=-1)
+            if np.isfinite(spans).any():
+                near, far = landmark_rows(ends)
+                own += float(np.linalg.norm(rest[far] - rest[near]))
+                theirs += float(np.nanmedian(spans))
+    return joints_cam[..., 2] * (own / theirs if theirs else 1.0)
 
 
 def line_residuals(points_world: Array, lines: SightLines, deviation: Array) -> Array:
@@ -131,7 +132,7 @@ def line_residuals(points_world: Array, lines: SightLines, deviation: Array) -> 
     off = points_world[..., None, :, :] - lines.origin[..., None, :]
     across = off - jnp.sum(off * way, -1, keepdims=True) * way
     return shorten_residuals(
-        jnp.where(is_detected, across * lines.confidences[..., None] / deviation, 0.0)
+        across * jnp.where(is_detected, lines.confidences[..., None], 0.0) / deviation
     )
 
 
@@ -143,7 +144,7 @@ class KeyPoints(Term):
         0.02, "of a point of full confidence about its landmark, metres at the person"
     )
     redundancy: Array = traced(
-        40.0, "of frames: so many have the same error; for the deviations only"
+        40.0, "of frames, 30 a second: so many have the same error; for the deviations only"
     )
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:

@@ -209,12 +209,8 @@ def pixel_components_anywhere(
     points are where a pinhole has them.
     """
     bent, plain = pixel_components(camera, x, y), _from_plane(camera, x, y)
-    if camera.lens == FISHEYE:
-        return bent
-    reach = 0.5 + DISTORTION_MARGIN
-    near = [abs(plain[i] - camera.size[i] / 2) <= reach * camera.size[i] for i in range(2)]
-    where = namespace(x).where
-    return where(near[0] & near[1], bent[0], plain[0]), where(near[0] & near[1], bent[1], plain[1])
+    near, where = _is_near(camera, *plain), namespace(x).where
+    return where(near, bent[0], plain[0]), where(near, bent[1], plain[1])
 
 
 def _from_plane(camera: Camera, x: Component, y: Component) -> tuple[Component, Component]:
@@ -222,28 +218,21 @@ def _from_plane(camera: Camera, x: Component, y: Component) -> tuple[Component, 
     return M[0, 0] * x + M[0, 1] * y + M[0, 2], M[1, 1] * y + M[1, 2]
 
 
-def plane_components(
-    camera: Camera, x: Component, y: Component, iterations: int = 8
-) -> tuple[Component, Component]:
+def plane_components(camera: Camera, x: Component, y: Component) -> tuple[Component, Component]:
     """Points on the plane z = 1 of pixels, by components (...): undoes ``pixel_components``."""
     M = camera.matrix
     y = (y - M[1, 2]) / M[1, 1]
     x = (x - M[0, 2] - M[0, 1] * y) / M[0, 0]
-    return LENSES[camera.lens].undistort(camera.distortion, x, y, iterations)
+    return LENSES[camera.lens].undistort(camera.distortion, x, y)
 
 
 def radii_in_pixels(camera: Camera, points_plane: Array, radii: Array) -> Array:
     """Radii (...), pixels, of small discs about points (..., 2) of the plane z = 1.
 
-    An ordinary lens moves them and leaves their size. A fisheye makes ellipses of them: these are
-    circles of the same area.
+    A lens makes ellipses of them: these are circles of the same area.
     """
-    pixels = radii * focal_length(camera)
-    slopes = _slopes(camera, points_plane[..., 0], points_plane[..., 1])
-    if slopes is None:
-        return pixels
-    xx, xy, yy = slopes
-    return pixels * jnp.sqrt(jnp.maximum(xx * yy - xy * xy, 0.0))
+    xx, xy, yy = _slopes(camera, points_plane[..., 0], points_plane[..., 1])
+    return radii * focal_length(camera) * jnp.sqrt(jnp.maximum(xx * yy - xy * xy, 0.0))
 
 
 def normals_in_pixels(
@@ -257,19 +246,15 @@ def normals_in_pixels(
         normal_x: (...) component of its normals there.
         normal_y: (...) component of its normals there.
     """
-    if (slopes := _slopes(camera, *at)) is not None:
-        # A normal goes by the inverse of the transposed derivative, here times its determinant.
-        xx, xy, yy = slopes
-        normal_x, normal_y = yy * normal_x - xy * normal_y, xx * normal_y - xy * normal_x
-    return normal_x * camera.matrix[0, 0], normal_y * camera.matrix[1, 1]
+    # A normal goes by the inverse of the transposed derivative, here times its determinant.
+    xx, xy, yy = _slopes(camera, *at)
+    normal_x, normal_y = yy * normal_x - xy * normal_y, xx * normal_y - xy * normal_x
+    M = camera.matrix
+    return M[1, 1] * normal_x, M[0, 0] * normal_y - M[0, 1] * normal_x
 
 
 def projection_jacobian(camera: Camera, points_world: Array) -> Array:
-    """(..., 2, 3) derivatives of the pixels of points (..., 3), pixels per metre of the world.
-
-    An ordinary lens's distortion, which hardly turns or scales, is left out; a fisheye's is in.
-    Both focal lengths are taken as one, as in ``radii_in_pixels``.
-    """
+    """(..., 2, 3) derivatives of the pixels of points (..., 3), pixels per metre of the world."""
     points_cam = to_camera(camera, points_world)
     depths = jnp.maximum(points_cam[..., 2], NEAREST_M)
     x, y = points_cam[..., 0] / depths, points_cam[..., 1] / depths
@@ -277,10 +262,10 @@ def projection_jacobian(camera: Camera, points_world: Array) -> Array:
     # On the plane, of a step in the world; then in the image.
     across = (R[0] - x[..., None] * R[2]) / depths[..., None]
     down = (R[1] - y[..., None] * R[2]) / depths[..., None]
-    if (slopes := _slopes(camera, x, y)) is not None:
-        xx, xy, yy = (part[..., None] for part in slopes)
-        across, down = xx * across + xy * down, xy * across + yy * down
-    return focal_length(camera) * jnp.stack([across, down], -2)
+    xx, xy, yy = (part[..., None] for part in _slopes(camera, x, y))
+    across, down = xx * across + xy * down, xy * across + yy * down
+    M = camera.matrix
+    return jnp.stack([M[0, 0] * across + M[0, 1] * down, M[1, 1] * down], -2)
 
 
 def depth_gradient(camera: Camera) -> Array:
@@ -288,8 +273,20 @@ def depth_gradient(camera: Camera) -> Array:
     return camera.T_cam_world[2, :3]
 
 
-def _slopes(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array] | None:
-    return LENSES[camera.lens].slopes(camera.distortion, x, y)
+def _slopes(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Of the lens; of points far outside the image those of a pinhole, as they are drawn there."""
+    xx, xy, yy = LENSES[camera.lens].slopes(camera.distortion, x, y)
+    near = _is_near(camera, *_from_plane(camera, x, y))
+    return jnp.where(near, xx, 1.0), jnp.where(near, xy, 0.0), jnp.where(near, yy, 1.0)
+
+
+def _is_near(camera: Camera, x: Component, y: Component) -> Component:
+    """Whether pixels (...) lie where a lens's polynomials hold: a fisheye's do anywhere."""
+    if camera.lens == FISHEYE:
+        return namespace(x).ones_like(x, dtype=bool)
+    reach = 0.5 + DISTORTION_MARGIN
+    width, height = camera.size[0], camera.size[1]
+    return (abs(x - width / 2) <= reach * width) & (abs(y - height / 2) <= reach * height)
 
 
 def project(camera: Camera, points_world: Component) -> Component:
@@ -300,12 +297,9 @@ def project(camera: Camera, points_world: Component) -> Component:
     return to_pixels(camera, normalise(to_camera(camera, points_world)))
 
 
-def pixel_rays(camera: Camera, pixels_xy: Component, iterations: int = 8) -> Component:
-    """Directions (..., 3), unit length, world frame, of the rays through (..., 2) pixels.
-
-    The distortion is undone by a fixed number of iterations.
-    """
-    x, y = plane_components(camera, pixels_xy[..., 0], pixels_xy[..., 1], iterations)
+def pixel_rays(camera: Camera, pixels_xy: Component) -> Component:
+    """Directions (..., 3), unit length, world frame, of the rays through (..., 2) pixels."""
+    x, y = plane_components(camera, pixels_xy[..., 0], pixels_xy[..., 1])
     xp = namespace(x)
     rays_cam = xp.stack([x, y, xp.ones_like(x)], -1)
     rays_cam = rays_cam / xp.linalg.norm(rays_cam, axis=-1, keepdims=True)

@@ -23,6 +23,8 @@ WIDEST_RAD = 1.55
 # Newton's method divides by no smaller slope: a lens that is this flat shows nothing any more.
 _LEAST_SLOPE = 0.05
 _NEWTON_STEPS = 8
+# No step goes farther on the plane z = 1: beyond where a lens folds the derivatives mislead.
+_LONGEST_STEP = 0.5
 
 
 class LensModel(Protocol):
@@ -37,19 +39,14 @@ class LensModel(Protocol):
         """Distorted components (...) of points (...) on the plane z = 1."""
         ...
 
-    def undistort(
-        self, k: Component, x: Component, y: Component, iterations: int
-    ) -> tuple[Component, Component]:
+    def undistort(self, k: Component, x: Component, y: Component) -> tuple[Component, Component]:
         """Components (...) on the plane z = 1 of distorted points (...)."""
         ...
 
     def slopes(
         self, k: Component, x: Component, y: Component
-    ) -> tuple[Component, Component, Component] | None:
-        """∂x'/∂x, ∂x'/∂y = ∂y'/∂x and ∂y'/∂y of the distortion at points (...) of z = 1.
-
-        None where outlines may be projected as if the distortion did not turn or scale them.
-        """
+    ) -> tuple[Component, Component, Component]:
+        """∂x'/∂x, ∂x'/∂y = ∂y'/∂x and ∂y'/∂y of the distortion at points (...) of z = 1."""
         ...
 
 
@@ -67,19 +64,37 @@ class BrownConrady:
         dy = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         return x * radial + dx, y * radial + dy
 
-    def undistort(
-        self, k: Component, x: Component, y: Component, iterations: int
-    ) -> tuple[Component, Component]:
-        """See ``LensModel.undistort``; by fixed-point iteration."""
+    def undistort(self, k: Component, x: Component, y: Component) -> tuple[Component, Component]:
+        """See ``LensModel.undistort``; by a fixed number of bounded Newton steps."""
+        xp = namespace(x)
         plane_x, plane_y = x, y
-        for _ in range(iterations):
+        for _ in range(_NEWTON_STEPS):
             off_x, off_y = self.distort(k, plane_x, plane_y)
-            plane_x, plane_y = plane_x + x - off_x, plane_y + y - off_y
+            off_x, off_y = off_x - x, off_y - y
+            xx, xy, yy = self.slopes(k, plane_x, plane_y)
+            determinant = xp.maximum(xx * yy - xy * xy, _LEAST_SLOPE)
+            step_x = (yy * off_x - xy * off_y) / determinant
+            step_y = (xx * off_y - xy * off_x) / determinant
+            plane_x = plane_x - xp.clip(step_x, -_LONGEST_STEP, _LONGEST_STEP)
+            plane_y = plane_y - xp.clip(step_y, -_LONGEST_STEP, _LONGEST_STEP)
         return plane_x, plane_y
 
-    def slopes(self, k: Component, x: Component, y: Component) -> None:
-        """None: such a distortion hardly turns or scales what is as small as a limb."""
-        return None
+    def slopes(
+        self, k: Component, x: Component, y: Component
+    ) -> tuple[Component, Component, Component]:
+        """See ``LensModel.slopes``."""
+        k1, k2, p1, p2, k3, k4, k5, k6 = k
+        r2 = x * x + y * y
+        above, below = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        radial = above / below
+        # By r², twice.
+        bent = k1 + r2 * (2 * k2 + 3 * r2 * k3) - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))
+        bent = 2 * bent / below
+        return (
+            radial + bent * x * x + 2 * p1 * y + 6 * p2 * x,
+            bent * x * y + 2 * p1 * x + 2 * p2 * y,
+            radial + bent * y * y + 6 * p1 * y + 2 * p2 * x,
+        )
 
 
 class KannalaBrandt:
@@ -97,14 +112,12 @@ class KannalaBrandt:
         _, _, scale = self._polar(k, x, y)
         return x * scale, y * scale
 
-    def undistort(
-        self, k: Component, x: Component, y: Component, iterations: int
-    ) -> tuple[Component, Component]:
+    def undistort(self, k: Component, x: Component, y: Component) -> tuple[Component, Component]:
         """See ``LensModel.undistort``; by a fixed number of Newton steps for the angle."""
         xp = namespace(x)
         radius, on_axis = _radius(x, y)
         angle = xp.minimum(radius, WIDEST_RAD)
-        for _ in range(min(iterations, _NEWTON_STEPS)):
+        for _ in range(_NEWTON_STEPS):
             off = angle * _polynomial(k, angle, (1, 1, 1, 1)) - radius
             slope = xp.maximum(_polynomial(k, angle, (3, 5, 7, 9)), _LEAST_SLOPE)
             angle = xp.clip(angle - off / slope, 0.0, WIDEST_RAD)

@@ -23,8 +23,9 @@ def local_origin(points_world: np.ndarray) -> np.ndarray:
     Returns:
         (3,) whole metres, float64; zeros where the points lie near the world's origin.
     """
-    points = np.asarray(points_world).reshape(-1, 3)
-    points = np.asarray(points[:: max(1, len(points) // ENOUGH)], float)
+    points = np.asarray(points_world)
+    # Whole samples: of several markers one may be missing throughout.
+    points = np.asarray(points[:: max(1, len(points) // ENOUGH)], float).reshape(-1, 3)
     points = points[np.isfinite(points).all(-1)]
     if not len(points):
         return np.zeros(3)

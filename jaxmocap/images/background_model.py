@@ -176,18 +176,19 @@ def equally_exposed(frames: np.ndarray, free: np.ndarray) -> np.ndarray:
 
 
 def gain(pixels: np.ndarray, expected: np.ndarray) -> np.ndarray | None:
-    """How much brighter each channel is than expected: (3,), or None where too few pixels show it.
+    """How much brighter each channel is than expected: (3,), or None where no exposure is.
 
     The median of the ratios of (3, K) values, then of those near it, so that what stands before
-    the background does not count. Dark and overexposed values do not count.
+    the background does not count. Dark and overexposed values do not count: of a channel that has
+    hardly any others, as before a green wall, it is 1.
     """
     observed, usual = (np.ascontiguousarray(each, np.float32) for each in (pixels, expected))
     usable = (usual > DARK) & (usual < BRIGHT) & (observed < BRIGHT)
-    if usable.sum(1).min() < FEWEST:
-        return None
     gains = np.ones(3)
     for channel, ratios in enumerate(observed / np.maximum(usual, 1)):
         ratios = ratios[usable[channel]]
+        if len(ratios) < FEWEST:
+            continue
         near = np.abs(ratios - _middle(ratios))
         gains[channel] = _middle(ratios[near <= 2 * _middle(near)])
     return gains if (gains < MOST_GAIN).all() and (gains > 1 / MOST_GAIN).all() else None
@@ -229,6 +230,8 @@ def _exposure(
 ) -> tuple[np.ndarray | None, float]:
     """``exposure`` by the background, and where no body is, at every so many pixels."""
     sure = np.flatnonzero(few.certainty > 0.5)
+    if len(sure) < FEWEST:
+        return None, 0.0
     some = frame[exposure_sample(frame)].reshape(-1, 3), few.colour.reshape(-1, 3)
     # Channel by channel: long rows are several times as fast as rows of three.
     pixels, expected = (each[sure].T.astype(np.float32, order="C") for each in some)

@@ -38,7 +38,7 @@ def look_up_smoothly(fields: Array, turns: Array, points_x: Array, points_y: Arr
     Args:
         fields: (C, H, W); channel c is of turns around c + 0.5.
         turns: (...) from 0 to C; C is 0 again.
-        points_x: (...) coordinates; outside, the border's value.
+        points_x: (...) coordinates; from the second pixel outwards, the value there.
         points_y: (...) likewise.
     """
     count, height, width = fields.shape

@@ -22,8 +22,8 @@ from jaxmocap.geometry.rotations import HIGHEST
 
 # Of a limb: near x, y; far x, y; near and far radius.
 OUTLINE_NUMBERS = 6
-# Limbs to be distinguished in one picture.
-MOST_LIMBS = 32
+# Limbs that are numbered by as many bits as are there anyway; of more the number takes more bits.
+FEW_LIMBS = 32
 
 
 class Grid(NamedTuple):
@@ -92,7 +92,8 @@ def distances(limbs: Discs, size: int) -> Array:
 
 
 def _numbering(away: Array) -> tuple[jnp.dtype, int]:
-    return jnp.dtype(f"int{8 * away.dtype.itemsize}"), MOST_LIMBS - 1
+    bits = (max(FEW_LIMBS, len(away)) - 1).bit_length()
+    return jnp.dtype(f"int{8 * away.dtype.itemsize}"), (1 << bits) - 1
 
 
 def frontmost(limbs: Discs, size: int) -> tuple[Array, Touch]:

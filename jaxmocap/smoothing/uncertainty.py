@@ -22,7 +22,7 @@ from jaxmocap.evidence.terms import Term
 from jaxmocap.smoothing.levenberg_marquardt import covariances, point_variances
 from jaxmocap.smoothing.linearise import linearise_problem, rows_of, soften_grids, two_workers
 from jaxmocap.smoothing.problem import LeftOut, SmoothingProblem, Trajectory
-from jaxmocap.smoothing.settings import LASTING_HZ, SmoothingSettings, with_lasting
+from jaxmocap.smoothing.settings import LASTING_HZ, SmoothingSettings, mean_step, with_lasting
 
 # A landmark comes from the prior where the video leaves more than this share of its variance,
 GUESSED = 0.7
@@ -95,15 +95,29 @@ def _variances(
 
 def count_once(problem: SmoothingProblem) -> SmoothingSettings:
     """Settings with errors that are alike counted once: of cells, and of what is usual."""
-    silhouettes = problem.settings.silhouettes
-    cells = np.asarray(silhouettes.deviation) * np.sqrt(np.asarray(silhouettes.redundancy))
-    keypoints = problem.settings.keypoints
-    lines = np.asarray(keypoints.deviation) * np.sqrt(np.asarray(keypoints.redundancy))
+    often = np.asarray(frames_a_moment(_frame_step(problem)), np.float32)
+    silhouettes, keypoints = problem.settings.silhouettes, problem.settings.keypoints
+    cells = np.asarray(silhouettes.deviation) * np.sqrt(often * np.asarray(silhouettes.redundancy))
+    lines = np.asarray(keypoints.deviation) * np.sqrt(often * np.asarray(keypoints.redundancy))
     return replace(
         lasting_errors(problem),
         silhouettes=replace(silhouettes, deviation=cells),
         keypoints=replace(keypoints, deviation=lines),
     )
+
+
+def frames_a_moment(step_s: Any) -> Any:
+    """How many frames, so many seconds apart, come where redundancy counts one; at least 1."""
+    return namespace(step_s).maximum(1 / (LASTING_HZ * step_s), 1.0)
+
+
+def _frame_step(problem: SmoothingProblem) -> float:
+    """Seconds between the events that a camera shows, in the mean."""
+    shown = np.zeros(len(problem.times), bool)
+    shown[problem.views.frame] = True
+    if (lines := problem.measured.get("sight_lines")) is not None:
+        shown |= (np.asarray(lines.confidences) > 0).any((1, 2))
+    return float(mean_step(problem.times[shown])) if shown.sum() > 1 else 1 / LASTING_HZ
 
 
 def lasting_errors(problem: SmoothingProblem) -> SmoothingSettings:

@@ -146,7 +146,7 @@ def test_a_recording_without_video_or_markers_is_refused():
         estimate_video_offsets(replace(recording, videos=()))
     gone = recording.positions_world.copy()
     gone[2:] = np.nan
-    with pytest.raises(InputError, match="no marker is present in four samples"):
+    with pytest.raises(InputError, match="no hand's marker is present in four samples"):
         estimate_video_offsets(replace(recording, positions_world=gone))
 
 

@@ -96,6 +96,18 @@ def scene(seed):
     return camera, region, fields, limbs
 
 
+def magnification(camera, points_world):
+    """By how much the lens scales small discs about points, by central differences."""
+    plane = reference_cameras.normalise(reference_cameras.to_camera(camera, points_world))
+    ends = [
+        reference_cameras.distort(camera, plane + sign * step)
+        for step in 1e-5 * np.eye(2)
+        for sign in (1, -1)
+    ]
+    J = np.stack([ends[0] - ends[1], ends[2] - ends[3]], -1) / 2e-5
+    return np.sqrt(np.linalg.det(J))
+
+
 def reference_chamfer(camera, region, fields, limbs, softness):
     """(13) by the reference's own projection; also the coverage and the plain field."""
 
@@ -104,7 +116,8 @@ def reference_chamfer(camera, region, fields, limbs, softness):
 
     depths = [reference_cameras.to_camera(camera, end)[:, 2] for end in (limbs.near, limbs.far)]
     focal = (float(camera.matrix[0, 0]) + float(camera.matrix[1, 1])) / 2
-    radii = limbs.radii / np.stack(depths, -1) * focal / region.scale
+    scales = np.stack([magnification(camera, end) for end in (limbs.near, limbs.far)], -1)
+    radii = limbs.radii / np.stack(depths, -1) * scales * focal / region.scale
     coverage = reference.coverage(
         (GRID, GRID), placed(limbs.near), placed(limbs.far), radii, softness
     )

@@ -193,7 +193,6 @@ def _landmark_table(fields: TomlTable) -> TomlTable:
 def _by_static_trial(fields: TomlTable) -> Skeleton:
     landmarks, landmark_table = static_landmarks(fields), _landmark_table(fields)
     try:
-        # Landmarks that are never in one frame together show as lengths that are not numbers.
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore", RuntimeWarning)
             skeleton = scale_to_landmarks(Skeleton.human(), landmarks)
@@ -201,11 +200,6 @@ def _by_static_trial(fields: TomlTable) -> Skeleton:
             skeleton = scale_to_height(skeleton, None, fields.number("mass"))
     except ValueError as error:
         raise landmark_table.error("", str(error)) from None
-    if not (np.isfinite(skeleton.lengths).all() and np.isfinite(skeleton.directions).all()):
-        problem = (
-            f"{short_name(fields.text('static'))} shows neck, hips and shoulders in no common frame"
-        )
-        raise landmark_table.error("", problem)
     if (longest := float(np.max(skeleton.lengths))) > LENGTH_RANGE_M[1]:
         problem = f"shows bones of up to {longest:.4g} m, expected at most {LENGTH_RANGE_M[1]:g} m"
         raise landmark_table.error("", f"{short_name(fields.text('static'))} {problem}")

@@ -22,7 +22,7 @@ from jaxmocap.compilation.arrays import Numbers
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.smoothness import REACH
 from jaxmocap.smoothing.settings import LASTING_HZ, LONGEST_STEP_S, SmoothingSettings, with_lasting
-from jaxmocap.smoothing.uncertainty import landmark_deviations
+from jaxmocap.smoothing.uncertainty import frames_a_moment, landmark_deviations
 from jaxmocap.smoothing.window.arm_search import search_arms, with_arm_there
 from jaxmocap.smoothing.window.elimination import (
     MarginalPrior,
@@ -209,9 +209,14 @@ def _schedule(model: Model, state: WindowState, is_last: Array) -> tuple[Array, 
     return state.given, given, jnp.argmax(stops).astype(jnp.int32)
 
 
-def _shares(settings: SmoothingSettings) -> Array:
+def _shares(settings: SmoothingSettings, events: EventArrays) -> Array:
     """What of the silhouettes counts in deviations: cells that err alike count once; and none."""
-    once = 1 / settings.silhouettes.redundancy
+    shown, times = events.have_frames, jnp.cumsum(events.since)
+    first = jnp.min(jnp.where(shown, times, jnp.inf))
+    span = jnp.max(jnp.where(shown, times, -jnp.inf)) - first
+    between = jnp.sum(shown, dtype=times.dtype) - 1
+    step = jnp.where(between > 0, span / jnp.maximum(between, 1), 1 / LASTING_HZ)
+    once = 1 / (frames_a_moment(step) * settings.silhouettes.redundancy)
     return jnp.stack([once, jnp.zeros_like(once)])
 
 
@@ -231,7 +236,7 @@ def _sure(
             eliminated = eliminate(evidence, marginal, loose, events.filled)
             return point_variances(eliminated, J, events.filled, given - 1)
 
-        each = jax.vmap(of_share)(_shares(settings), state.sure)
+        each = jax.vmap(of_share)(_shares(settings, events), state.sure)
         return each.reshape(2, len(LANDMARKS), 3)
 
     variances = jax.lax.cond(is_due, found, lambda: state.variances)
@@ -245,7 +250,7 @@ def _shorten_state(
     events, sure = state.events, state.sure
     size, dtype = window.steps.shape[1], events.poses.dtype
     one = jnp.ones(1, dtype)
-    shares = jnp.concatenate([one, _shares(settings)])
+    shares = jnp.concatenate([one, _shares(settings, events)])
     hessians = jnp.concatenate([window.marginal.hessian[None], sure])
     pull = jnp.zeros_like(window.marginal.gradient)
     gradients = jnp.stack([window.marginal.gradient, pull, pull])

@@ -32,7 +32,7 @@ SOFTNESS = 0.8
 # A silhouette's quadratic holds while no landmark moves farther than this, metres: about half a
 # cell, over which its borders fade.
 NEAR_M = 0.012
-# Events are taken to be at least so far apart, seconds: single precision has no differences of less.
+# Events count as at least so far apart, seconds: single precision has no differences of less.
 LEAST_APART_S = 1e-3
 # Events that are linearised at once.
 AT_ONCE = 4
