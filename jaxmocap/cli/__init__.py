@@ -12,9 +12,7 @@ if TYPE_CHECKING:
     from typing import Any, NoReturn
 
 INTERRUPTED = 130  # 128 and the number of SIGINT
-# Exit codes above this are of processes that a signal stopped: this and the signal's number.
-SIGNAL_EXIT_CODE = 128
-# A process that a signal stopped waits so long for its other threads, seconds.
+# A process waits so long for its other threads, seconds.
 LONGEST_WAIT_S = 5.0
 
 

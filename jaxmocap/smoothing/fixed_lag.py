@@ -1,4 +1,4 @@
-"""Smoothing while it happens: each pose waits for two more video frames, 0.1 s at most.
+"""Smoothing while it happens: each pose waits for two more video frames, or for 0.1 s.
 
 The same terms as over a whole recording, over the newest frames alone; earlier ones are condensed
 into a marginal prior. Marker samples that follow closely lie between two poses of that window, and

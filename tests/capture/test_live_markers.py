@@ -265,6 +265,13 @@ def test_a_marker_that_is_lost_is_missing_and_not_waited_for_long():
     assert gathers.missing(89 / 90) == ["RightController"]
 
 
+def test_packets_of_others_are_no_markers_of_ours():
+    gathers, out = gathering()
+    assert not gathers.add([MarkerMessage(("Toy",), (0.0, 1.0, 0.0))], 0.0, 0.0, True)
+    assert gathers.add([MarkerMessage(("Hmd",), (0.0, 1.0, 0.0))], 0.1, 0.1, True)
+    assert len(out) == 1
+
+
 @pytest.mark.parametrize("together", [True, False])
 def test_a_tracker_is_turned_by_its_own_message(together):
     """In one bundle, or in messages one by one, where the last turn is a sample old."""

@@ -405,3 +405,11 @@ def test_ctrl_c_while_commands_are_imported_is_one_line():
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (ended.returncode, ended.stderr) == (130, "jaxmocap: interrupted\n")
+
+
+def test_check_refuses_a_low_pass_that_the_markers_rate_cannot_hold(tmp_path, capsys):
+    """As ``track`` does."""
+    recording = write_small_recording(tmp_path)
+    recording.write_text(recording.read_text() + "\n[markers.filters]\nbutterworth = 6000.0\n")
+    assert main(["check", str(recording)]) == 2
+    assert "butterworth: found 6000 Hz, expected less than" in capsys.readouterr().err

@@ -373,3 +373,24 @@ def test_key_points_that_do_not_fit_the_video_are_refused_before_anything_is_tra
     wrong = Detections(np.arange(3, 40), ("elbow_l",), np.ones((37, 1, 1, 2)), np.ones((37, 1, 1)))
     source = replace(recording.videos[0], keypoints=wrong)
     assert "keypoints_first" in complaint(track, replace(recording, videos=(source,)), tracker=None)
+
+
+def test_a_confidence_that_is_no_number_pulls_nowhere():
+    points = np.random.default_rng(0).normal(size=(3, 3)).astype(np.float32)
+    ways = np.tile(np.float32([0, 0, 1]), (1, 3, 1))
+    confidences = np.float32([[1.0, np.nan, 0.5]])
+    lines = SightLines(
+        np.zeros((1, 3), np.float32), ways, confidences, np.zeros((1, 3), np.float32)
+    )
+    cost = lambda places: jnp.sum(line_residuals(places, lines, jnp.float32(0.02)) ** 2)  # noqa: E731
+    slope = np.asarray(jax.grad(cost)(on_device(points)))
+    assert np.isfinite(slope).all() and not slope[1].any() and slope[0].any()
+
+
+def test_a_detectors_person_is_as_large_by_limbs_that_it_has():
+    names = ("hip_l", "knee_l", "ankle_l", "hip_r", "knee_r", "ankle_r")
+    rest = np.asarray(landmark_positions(PERSON, relaxed_pose(PERSON)))[landmark_rows(names)]
+    half = np.tile(0.5 * rest, (4, 1, 1))
+    half[:, -1] = np.nan
+    depths = estimated_depths(PERSON, names, half)
+    np.testing.assert_allclose(depths[:, :-1], np.tile(rest[:-1, 2], (4, 1)), atol=1e-5)

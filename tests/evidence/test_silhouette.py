@@ -32,7 +32,14 @@ from jaxmocap.geometry.cameras import focal_length, turn_camera
 from jaxmocap.geometry.outlines import Discs, signed_distance
 from jaxmocap.images.colours import Colours, colour_bins, learn_colours
 from jaxmocap.images.regions import Region, in_other_region
-from jaxmocap.images.silhouette_grid import Grid, blur_grid, cells, coverage_fit
+from jaxmocap.images.silhouette_grid import (
+    Grid,
+    blur_grid,
+    cells,
+    coverage_fit,
+    distances,
+    frontmost,
+)
 from jaxmocap.reference.hybrid import silhouette as reference
 
 CELLS, LIMBS, SOFTNESS = 16, 4, 1.3
@@ -445,3 +452,13 @@ def test_forearms_before_the_torso_are_expected_and_behind_it_they_are_not():
     # Beside the torso they are visible from behind as well.
     beside = painted_forearms(behind, pose).sum()
     assert beside > 3 and expected_forearms(behind, pose).sum() == pytest.approx(beside, rel=0.5)
+
+
+@pytest.mark.parametrize("count", [5, 32, 40, 70])
+def test_the_limb_of_a_cell_is_the_one_that_reaches_farthest_over_it(count):
+    rng, size = np.random.default_rng(count), 16
+    ends = rng.uniform(0, size, (2, count, 2)).astype(np.float32)
+    limbs = Discs(*ends, rng.uniform(0.5, 1.5, (count, 2)).astype(np.float32))
+    away = np.asarray(distances(on_device(limbs), size))
+    nearest, _ = frontmost(on_device(limbs), size)
+    np.testing.assert_array_equal(np.asarray(nearest), away.argmin(0))

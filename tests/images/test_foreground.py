@@ -198,6 +198,17 @@ def test_a_background_is_of_the_frames_before_a_camera_was_pushed_or_after():
     assert [bool(own.any()) for own in odds] == [True] * 15 + [False] * 9
 
 
+@pytest.mark.parametrize("colour", [(64, 177, 10), (250, 250, 250), (15, 15, 15), (90, 110, 100)])
+def test_a_room_of_one_colour_shows_the_person(colour):
+    """A green screen has a dark channel, a white wall is burnt out."""
+    frames, shown, reach = clip(walking())
+    noise = np.random.default_rng(3).normal(0, 1.5, frames.shape)
+    frames = np.where(shown[..., None], frames, np.clip(np.rint(colour + noise), 0, 255))
+    odds = learned_odds(frames.astype(np.uint8), shown, reach)
+    body, rest = shares(odds, shown)
+    assert body > 0.95 and rest > 0.95
+
+
 @pytest.mark.parametrize("noise", [1.0, 6.0, 12.0])
 def test_frames_of_a_noisy_camera_are_alike(noise):
     frames, _, reach = clip(walking(), 1 + 0.2 * np.sin(np.arange(FRAMES)), noise)

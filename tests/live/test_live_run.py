@@ -219,6 +219,19 @@ def test_orientations_of_either_source_are_recorded(tmp_path, source):
     np.testing.assert_allclose(moved, np.tile([0.1, 0, 0], (len(moved), 1)), atol=1e-5)
 
 
+def test_a_marker_that_never_has_the_orientation_it_needs_is_left_out(tmp_path):
+    setup = small_setup(tmp_path)
+    turned = replace(setup.places[0], offset_in="marker", offset=(0.0, 0.1, 0.0))
+    recording = LiveRecording(replace(setup, places=(turned, *setup.places[1:])), tmp_path / "out")
+    for time_s, points in zip(
+        small_recording().times, small_recording().positions_world, strict=True
+    ):
+        measured = MarkerMeasurements(points, np.full((len(points), 3, 3), np.nan))
+        recording.add(MarkerSample(time_s, points, time_s, measured))
+    again = Recording.load(recording.close())
+    assert [place.name for place in again.places] == [place.name for place in setup.places[1:]]
+
+
 # Cameras -----------------------------------------------------------------------------------------
 
 

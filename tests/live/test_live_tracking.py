@@ -313,3 +313,34 @@ def test_markers_are_known_when_a_late_frame_was_taken(tracking, rate, delay):
     taken = 1 - delay
     live.frames([frame(taken, delay)])
     np.testing.assert_allclose(live.tracker.steps[-1][1][:, 0], taken, atol=1e-6)
+
+
+@pytest.mark.parametrize("offset", [-0.05, 0.0, 0.03, 0.1])
+def test_frames_that_are_ahead_of_the_markers_cost_no_pose(tracking, offset):
+    """Markers come up to 30 ms late, frames at once: every sample has a pose, in order."""
+    live, rng = tracking(smooth=True, offset=offset), np.random.default_rng(0)
+    moments = np.arange(90) / 90
+    late = np.maximum.accumulate(moments + rng.uniform(0, 0.03, 90)) - moments
+    arrivals = [sample(i / 90, late=late[i] + 1e-6 * i) for i in range(90)]
+    arrivals += [frame(i / 30 + 0.003 + offset, delay=0.0) for i in range(30)]
+    # When each came: of a frame with a delay, later than it was taken.
+    came = [each.arrived - (offset if isinstance(each, LiveFrame) else 0) for each in arrivals]
+    times = []
+    for _, event in sorted(zip(came, arrivals, strict=True), key=lambda pair: pair[0]):
+        if isinstance(event, LiveFrame):
+            outputs = live.frames([event._replace(arrived=event.time - offset)])
+        else:
+            outputs = live.sample(event)
+        times += [output.time for output in outputs]
+    times += [output.time for output in live.flush()]
+    assert live.late_events == 0
+    np.testing.assert_allclose(times, np.arange(90) / 90)
+
+
+def test_a_camera_that_is_late_by_half_a_second_counts(tracking):
+    live = tracking(offset=-0.5)
+    for i in range(90):
+        outputs = live.sample(sample(i / 90))
+        if i >= 45:
+            live.frames([frame(i / 90 - 0.5, delay=0.5)])
+    assert np.isfinite(outputs[0].deviations).all()

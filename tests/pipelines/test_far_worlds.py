@@ -130,3 +130,10 @@ def test_a_recording_made_in_memory_far_away_is_a_warning():
     assert not finding.fatal
     assert "the markers are 1000 km from the origin" in finding.sentence
     assert "keeps 62 mm" in finding.sentence
+
+
+@pytest.mark.parametrize("count", [2900, 3300, 6400])
+def test_the_origin_is_found_where_the_first_marker_is_missing(count):
+    points = np.random.default_rng(0).normal(PLACE, 1.0, (count, 5, 3))
+    points[:, 0] = np.nan
+    assert np.abs(local_origin(points) - PLACE).max() < 1

@@ -298,6 +298,25 @@ def test_products_run_at_full_precision():
     assert count > 10 and coarse == []
 
 
+@pytest.mark.parametrize("rate", [30, 120])
+def test_a_second_of_video_tells_as_much_at_any_rate(rate):
+    """Frames err alike: four times as many make nobody surer."""
+    shown = np.full(30, 1 / rate, np.float32)
+    smoother = smoother_of()
+    smoother.step(TIMES[0], markers()[0], [images()[0]], report(0))
+    events = smoother._state.events
+    filled = np.zeros(events.since.shape, bool)
+    filled[:6] = True
+    events = events._replace(
+        since=np.where(filled, shown[0], 0).astype(np.float32),
+        shown=np.broadcast_to(filled[:, None], events.shown.shape),
+        filled=np.int32(6),
+    )
+    share = float(advancing._shares(smoother.settings, events)[0])
+    redundancy = float(smoother.settings.silhouettes.redundancy)
+    assert share * redundancy == pytest.approx(30 / rate, rel=1e-4)
+
+
 def nothing_new(smoother: FixedLagSmoother):
     return smoother._news._replace(filled=np.int32(0))
 
@@ -365,6 +384,28 @@ def test_markers_of_a_straight_motion_are_where_they_go(time, missing):
     newest, before = np.delete(at, missing)[[-1, -2]]
     expected = [time, 2 * time, 1.0] if time <= 2 * newest - before else [np.nan] * 3
     assert np.allclose(found[0], expected, atol=1e-6, equal_nan=True)
+
+
+@pytest.mark.parametrize(("before", "is_known"), [(0.02, True), (0.05, False), (0.3, False)])
+def test_a_marker_that_comes_again_is_not_followed_backwards(before, is_known):
+    rng, at = np.random.default_rng(2), 1 + np.arange(12) * 0.03
+    path = np.cumsum(rng.normal(0, 0.005, (12, 1, 3)), 0)
+    samples = [Sample(i, t, own) for i, (t, own) in enumerate(zip(at, path, strict=True))]
+    (found,) = markers_at(samples, np.array([1 - before]))
+    if is_known:
+        assert np.abs(found[0] - path[0]).max() < 0.02
+    else:
+        assert np.isnan(found).all()
+
+
+@pytest.mark.parametrize("rate", [100, 120])
+def test_samples_that_lie_between_come_out_at_a_flush(rate):
+    """Of a camera that has brought nothing yet."""
+    smoother, out, count = smoother_of(), [], 20
+    for i in range(count):
+        out += smoother.step((i + 1) / rate, markers()[0], [None], report(0))
+    out += smoother.flush()
+    assert [each.number for each in out] == list(range(count))
 
 
 def test_devices_that_send_in_turn_have_their_own_samples():

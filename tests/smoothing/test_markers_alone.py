@@ -1,5 +1,7 @@
 """A recording that no camera shows: smoothed by its markers, in stretches where it is long."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from painted_motion import PERSON, places_of, points_of, truth
@@ -11,7 +13,7 @@ from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.evaluation.series import second_difference
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.pipelines.tracking.track import track
+from jaxmocap.pipelines.tracking.track import track, track_both
 from jaxmocap.smoothing import markers_alone
 
 COUNT, RATE, NOISE_M = 90, 30, 0.001
@@ -60,6 +62,26 @@ def test_long_recordings_are_solved_in_stretches_as_if_at_once(recording, monkey
     assert np.median(apart) < 0.003 and np.max(apart) < 0.03
     ratio = parts.report.landmarks_std / whole.report.landmarks_std
     assert 0.8 < np.median(ratio) < 1.25
+
+
+def test_why_of_a_long_recording_says_what_is_stated(recording, monkeypatch):
+    """Of every fifth sample."""
+    monkeypatch.setattr(markers_alone, "STRETCH", 18)
+    monkeypatch.setattr(markers_alone, "REACH_S", 0.7)
+    report = track_both(recording, why=True).motion.report
+    rows = landmark_rows(("pelvis", "elbow_r", "knee_l"))
+    stated = np.median(np.linalg.norm(report.landmarks_std, axis=-1), 0)[rows]
+    left_out = report.settings["deviations_without_m"]
+    nothing = [left_out[name]["nothing"] for name in ("pelvis", "elbow_r", "knee_l")]
+    np.testing.assert_allclose(nothing, stated, rtol=0.25)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_why_of_a_few_samples_leaves_out_what_determines_nothing(recording, count):
+    few = replace(recording, times=recording.times[:count],
+                  positions_world=recording.positions_world[:count])  # fmt: skip
+    report = track_both(few, why=True).motion.report
+    assert np.isfinite(report.landmarks_std).all()
 
 
 # Centimetres of one person by habits of the five others; without habits elbows are 6.6 off.

@@ -31,7 +31,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="store_const",
         const="causal",
         help="use no later marker or frame than a live run would, which smooths each pose once it "
-        "has received two more video frames, or 0.1 s later at most",
+        "has received two more video frames, or some 0.1 s later",
     )
     mode.add_argument(
         "--nearest",

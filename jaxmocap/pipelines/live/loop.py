@@ -101,7 +101,7 @@ class Live:
     ):
         """Open everything and begin to compile; no device is read yet.
 
-        Smoothed, poses wait for two more video frames, 0.1 s at most. A recording goes to ``out``.
+        Smoothed, poses wait for two more video frames, or for 0.1 s. A recording goes to ``out``.
         The viewer must return at once.
 
         Raises:
