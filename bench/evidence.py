@@ -112,7 +112,8 @@ def _flat_frames(video: FrameSource, background: Background) -> Iterator[np.ndar
 def flat_frame(image: np.ndarray, background: Background) -> np.ndarray:
     """One frame (H, W, 3) uint8, grey, before its background (h, w) made flat."""
     small = shrink(image, ROWS)
-    gains, agreement = exposure(small, background)
+    # The body may be anywhere.
+    gains, agreement = exposure(small, background, np.zeros(small.shape[:2], bool))
     away = (
         np.abs(undo_gains(small, gains).astype(np.float32) - background.colour).max(-1)
         / background.noise
