@@ -86,7 +86,7 @@ def learn_background(
 
 
 def most_alike(frames: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Which of some frames (N, h, w, 3) show the room that most of them show, ascending.
+    """Indices, ascending, of those frames (N, h, w, 3) whose room is that of most of them.
 
     A camera that was pushed shows another one from then on; of both together the median would be
     neither. Only pixels (N, h, w) that no body hides count.

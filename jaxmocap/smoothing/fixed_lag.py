@@ -283,15 +283,8 @@ class FixedLagSmoother:
         if final:
             track += between_events(events, len(events), self._between)
         poses = track_poses(self._person, [self._fade(each) for each in track])
-        deviations, unrecognised = (
-            self._deviations(found),
-            {
-                events[i].number: tuple(
-                    c for c, frame, _ in events[i].frames if not frame.odds.any()
-                )
-                for i in ready
-            },
-        )
+        deviations = self._deviations(found)
+        unrecognised = {event.number: event.unrecognised for event in events}
         return [
             SmoothedPose(
                 each.number, each.time, unpack(pose), deviations, found.from_prior,

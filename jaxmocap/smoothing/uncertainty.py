@@ -112,12 +112,12 @@ def frames_a_moment(step_s: Any) -> Any:
 
 
 def _frame_step(problem: SmoothingProblem) -> float:
-    """Seconds between the events that a camera shows, in the mean."""
-    shown = np.zeros(len(problem.times), bool)
-    shown[problem.views.frame] = True
+    """Mean seconds between the events that a camera has filmed."""
+    filmed = np.zeros(len(problem.times), bool)
+    filmed[problem.views.frame] = True
     if (lines := problem.measured.get("sight_lines")) is not None:
-        shown |= (np.asarray(lines.confidences) > 0).any((1, 2))
-    return float(mean_step(problem.times[shown])) if shown.sum() > 1 else 1 / LASTING_HZ
+        filmed |= (np.asarray(lines.confidences) > 0).any((1, 2))
+    return float(mean_step(problem.times[filmed])) if filmed.sum() > 1 else 1 / LASTING_HZ
 
 
 def lasting_errors(problem: SmoothingProblem) -> SmoothingSettings:

@@ -301,14 +301,13 @@ def test_products_run_at_full_precision():
 @pytest.mark.parametrize("rate", [30, 120])
 def test_a_second_of_video_tells_as_much_at_any_rate(rate):
     """Frames err alike: four times as many make nobody surer."""
-    shown = np.full(30, 1 / rate, np.float32)
     smoother = smoother_of()
     smoother.step(TIMES[0], markers()[0], [images()[0]], report(0))
     events = smoother._state.events
     filled = np.zeros(events.since.shape, bool)
     filled[:6] = True
     events = events._replace(
-        since=np.where(filled, shown[0], 0).astype(np.float32),
+        since=np.where(filled, 1 / rate, 0).astype(np.float32),
         shown=np.broadcast_to(filled[:, None], events.shown.shape),
         filled=np.int32(6),
     )

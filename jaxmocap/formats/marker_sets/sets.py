@@ -92,8 +92,8 @@ def _left_open(skeleton: Skeleton, markers: Sites) -> tuple[Array, Array]:
 
     J, limbs = derivatives(markers), derivatives(landmark_sites(skeleton, LIMBS))
     prior = jnp.concatenate([jnp.ones(ROOT_DOF, usual.dtype), 1 / usual**2])
-    known = jnp.matmul(J.T, J, precision=HIGHEST) / MARKER_M**2
-    covariance = jnp.linalg.inv(known + jnp.diag(prior))
+    information = jnp.matmul(J.T, J, precision=HIGHEST) / MARKER_M**2
+    covariance = jnp.linalg.inv(information + jnp.diag(prior))
     spread = jnp.sum(jnp.matmul(limbs, covariance, precision=HIGHEST) * limbs, -1).reshape(-1, 3)
     of_joints = jnp.sqrt(jnp.diag(covariance)[ROOT_DOF:])
     return jnp.sqrt(jnp.sum(spread, -1)), of_joints / usual

@@ -211,10 +211,10 @@ def _schedule(model: Model, state: WindowState, is_last: Array) -> tuple[Array, 
 
 def _shares(settings: SmoothingSettings, events: EventArrays) -> Array:
     """What of the silhouettes counts in deviations: cells that err alike count once; and none."""
-    shown, times = events.have_frames, jnp.cumsum(events.since)
-    first = jnp.min(jnp.where(shown, times, jnp.inf))
-    span = jnp.max(jnp.where(shown, times, -jnp.inf)) - first
-    between = jnp.sum(shown, dtype=times.dtype) - 1
+    filmed, times = events.have_frames, jnp.cumsum(events.since)
+    first = jnp.min(jnp.where(filmed, times, jnp.inf))
+    span = jnp.max(jnp.where(filmed, times, -jnp.inf)) - first
+    between = jnp.sum(filmed, dtype=times.dtype) - 1
     step = jnp.where(between > 0, span / jnp.maximum(between, 1), 1 / LASTING_HZ)
     once = 1 / (frames_a_moment(step) * settings.silhouettes.redundancy)
     return jnp.stack([once, jnp.zeros_like(once)])

@@ -118,6 +118,11 @@ class WindowEvent:
     frames: list[WindowFrame]  # of the cameras that had a new one
     learned: bool = False  # whether the frames were learned from
 
+    @property
+    def unrecognised(self) -> tuple[int, ...]:
+        """Cameras with a new frame of which no pixel speaks for the person, or against."""
+        return tuple(camera for camera, frame, _ in self.frames if not frame.odds.any())
+
 
 def new_events(
     model: Model,
