@@ -298,6 +298,15 @@ def test_products_run_at_full_precision():
     assert count > 10 and coarse == []
 
 
+def test_images_of_another_room_are_stated_and_tell_nothing():
+    rng = np.random.default_rng(0)
+    shown = [*images()[:12], *rng.integers(0, 255, (6, *images()[0].shape), dtype=np.uint8)]
+    final = joined(steps(shown=shown, count=18))
+    assert [each.unrecognised for each in final[6:]] == [()] * 6 + [(0,)] * 6
+    elbows = [np.linalg.norm(each.deviations[ELBOWS], axis=-1).max() for each in final]
+    assert elbows[-1] > 1.5 * elbows[9]
+
+
 @pytest.mark.parametrize("rate", [30, 120])
 def test_a_second_of_video_tells_as_much_at_any_rate(rate):
     """Frames err alike: four times as many make nobody surer."""
