@@ -421,3 +421,14 @@ def test_legs_that_no_marker_holds_are_found_where_they_stand():
     before = np.linalg.norm(points_of(start)[:, ankles] - truth, axis=-1)
     after = np.linalg.norm(points_of(actual.poses)[:, ankles] - truth, axis=-1)
     assert before.min() > 0.29 and after.max() < 0.15
+
+
+def test_frames_in_which_nobody_is_recognised_are_named():
+    frames, strange = images(), (2, 5)
+    for i in strange:
+        frames[i] = np.random.default_rng(i).integers(0, 255, frames[i].shape, dtype=np.uint8)
+    with unsolved():
+        found = second_pass(frames)
+    timeline = build_timeline(TIMES, [np.arange(FRAMES) * FRAME_S], "own")
+    expected = np.isin(timeline.frame_index, strange)
+    np.testing.assert_array_equal(found.unrecognised, expected)
