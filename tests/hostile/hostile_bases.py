@@ -91,7 +91,7 @@ Set = ["A", "B", "C"]
 [markers.filters]
 hampel = true
 gaps = 0.2
-butterworth = 6.0
+butterworth = 3.0
 [subject]
 height = 1.75
 mass = 70.0
