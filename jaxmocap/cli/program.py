@@ -37,8 +37,8 @@ COMMANDS: tuple[Command, ...] = (
 # A command of several kinds.
 GROUPS = {"calibrate": calibrate, "silhouette": silhouette}
 # Options whose value may begin with a minus, which argparse would take for an option.
-SIGNED_OPTIONS = (
-    *("--pose", "--origin", "--at", "--room", "--heights", "--turning", "--still", "--offset"),
+SIGNED_OPTIONS = frozenset(
+    ("--pose", "--origin", "--at", "--room", "--heights", "--turning", "--still", "--offset")
 )
 
 

@@ -289,7 +289,7 @@ class RunningBackground:
         assert self._counts is not None
         some = exposure_sample(frame)
         counts, noise = self._counts[some], np.maximum(self._noise[some], LEAST_NOISE)
-        # Of few sightings the noise is not known yet.
+        # Of few sightings the noise cannot be estimated yet.
         noise = np.where(counts > self.enough, noise, np.maximum(noise, MOST_NOISE))
         return Background(self._colour[some], noise, np.minimum(counts, 1))
 

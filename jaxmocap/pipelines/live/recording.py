@@ -212,7 +212,7 @@ class LiveRecording:
         on = {
             place.name: _marker_entry(place, bool(has_orientation))
             for place, has_orientation in zip(self._setup.places, self._oriented, strict=True)
-            # Its place on the bone is not known without it.
+            # Without it the marker has no place on the bone.
             if has_orientation or place.offset_in != "marker"
         }
         markers = MARKERS_FILE if there[0] else None
