@@ -1,4 +1,4 @@
-"""What may be done to markers before they are tracked: outliers, gaps, low-pass.
+"""What is done to markers before they are tracked: frozen ones, outliers, gaps, low-pass.
 
 INPUTS: a Recording and what its Filters ask for.
 OUTPUTS: the Recording with other positions, and a Cleaning: which filter changed which sample.
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxmocap.capture.frozen_markers import find_frozen
 from jaxmocap.capture.markers import GAP_INTERVALS
 from jaxmocap.capture.one_euro import filter_step, initial_state
 from jaxmocap.formats.recordings.filters import Filters, OneEuroSettings
@@ -45,6 +46,7 @@ class Cleaning:
 
     names: tuple[str, ...]  # of the markers
     applied: dict[str, Any]  # filter -> its parameter, of those that were on
+    frozen: np.ndarray  # (T, M) samples that repeat the one before, taken for missing
     outliers: np.ndarray  # (T, M) samples taken for missing
     filled: np.ndarray  # (T, M) samples that were filled in
     missing: np.ndarray  # (T, M) samples still missing
@@ -54,19 +56,25 @@ class Cleaning:
         """Filters that were on, and counts for each marker."""
         counts = {
             name: {
+                "frozen": int(self.frozen[:, i].sum()),
                 "outliers": int(self.outliers[:, i].sum()),
                 "filled": int(self.filled[:, i].sum()),
                 "missing": int(self.missing[:, i].sum()),
             }
             for i, name in enumerate(self.names)
         }
-        return {"on": self.applied, "samples": counts} if self.applied else {"on": {}}
+        is_changed = bool(self.applied) or self.frozen.any()
+        return {"on": self.applied} | ({"samples": counts} if is_changed else {})
 
     def statuses(self, sample: int) -> tuple[str, ...]:
         """What was done to one sample."""
         return tuple(
             f"marker {self.names[i]} was {what}"
-            for what, samples in (("an outlier", self.outliers), ("filled in", self.filled))
+            for what, samples in (
+                ("frozen", self.frozen),
+                ("an outlier", self.outliers),
+                ("filled in", self.filled),
+            )
             for i in np.flatnonzero(samples[sample])
         )
 
@@ -74,11 +82,22 @@ class Cleaning:
 def filter_markers(recording: Recording, causal: bool = False) -> tuple[Recording, Cleaning]:
     """Send a recording's markers through its filters: One Euro where ``causal``, else the others.
 
+    Samples of a marker that is frozen, see ``frozen_markers``, are missing afterwards.
+
     InputError for a cut-off that the markers' rate cannot hold.
     """
     filters, times, positions = recording.filters, recording.times, recording.positions_world
     none = np.zeros(positions.shape[:2], bool)
-    outliers, filled, warnings = none, none, []
+    outliers, filled = none, none
+    frozen = find_frozen(times, positions, causal)
+    warnings = [
+        f"marker {name} repeats its last place in {count} samples, as of a device that has lost "
+        "it; these are taken as missing"
+        for name, count in zip(recording.marker_names, frozen.sum(0).tolist(), strict=True)
+        if count
+    ]
+    if frozen.any():
+        positions = np.where(frozen[..., None], np.nan, positions)
     applied = active_filters(filters, causal)
     if "hampel" in applied:
         outliers = find_outliers(times, positions)
@@ -100,7 +119,13 @@ def filter_markers(recording: Recording, causal: bool = False) -> tuple[Recordin
         which = "look ahead, which --causal does not" if causal else "is for live and --causal"
         warnings.append(f"[markers.filters] {unused}: not used, {which}")
     cleaning = Cleaning(
-        recording.marker_names, applied, outliers, filled, _is_missing(positions), tuple(warnings)
+        recording.marker_names,
+        applied,
+        frozen,
+        outliers,
+        filled,
+        _is_missing(positions),
+        tuple(warnings),
     )
     return replace(recording, positions_world=positions, filters=Filters()), cleaning
 

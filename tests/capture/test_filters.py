@@ -336,7 +336,12 @@ def test_filters_work_one_after_the_other_and_say_what_they_did():
     is_present = ~cleaning.missing
     assert np.abs(after.positions_world - clean)[is_present].max() < 0.002
     assert cleaning.figures()["on"] == {"hampel": True, "gaps": 0.06, "butterworth": 12.0}
-    assert cleaning.figures()["samples"]["LWrist"] == {"outliers": 1, "filled": 1, "missing": 0}
+    assert cleaning.figures()["samples"]["LWrist"] == {
+        "frozen": 0,
+        "outliers": 1,
+        "filled": 1,
+        "missing": 0,
+    }
     assert cleaning.statuses(5) == ("marker LWrist was an outlier", "marker LWrist was filled in")
     assert cleaning.statuses(0) == () == cleaning.warnings
     assert after.filters == Filters(), "nothing is filtered twice"

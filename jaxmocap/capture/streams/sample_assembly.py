@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.orientations import matrices
+from jaxmocap.capture.frozen_markers import frozen_step, initial_state
 from jaxmocap.capture.streams.osc import MarkerMessage
 
 # A marker that was not sent for so long is not waited for, seconds.
@@ -76,6 +77,8 @@ class SampleAssembler:
         self._messages: dict[int, MarkerMessage] = {}
         self._orientations: dict[int, tuple[float, MarkerMessage]] = {}
         self._time, self._arrived, self._last_time = 0.0, 0.0, -np.inf
+        self._frozen_state = initial_state(len(markers))
+        self._is_frozen = np.zeros(len(markers), bool)
         self.unknown_names: set[str] = set()
 
     def add(
@@ -141,8 +144,15 @@ class SampleAssembler:
         silent = now - self._last_arrivals > SENT_WITHIN_S
         return [] if silent.all() else [self._names[i] for i in np.flatnonzero(silent)]
 
+    def frozen(self) -> list[str]:
+        """Markers that come in and repeat their last place, as those that a device has lost."""
+        return [self._names[i] for i in np.flatnonzero(self._is_frozen)]
+
     def _flush(self) -> None:
-        """Give out what is there, in the world's axes, at a time later than the last one's."""
+        """Give out what is there, in the world's axes, at a time later than the last one's.
+
+        Frozen markers, see ``frozen_markers``, measure no point.
+        """
         positions = np.full((len(self._last_arrivals), 3), np.nan)
         quaternions = np.full((len(self._last_arrivals), 4), np.nan)
         for marker, message in self._messages.items():
@@ -157,5 +167,10 @@ class SampleAssembler:
         )
         self._last_time = max(self._time, self._last_time + 1e-4)
         self._messages = {}
-        points = measurements.positions_world if self._bind is None else self._bind(*measurements)
+        self._frozen_state, self._is_frozen = frozen_step(
+            self._frozen_state, self._last_time, positions
+        )
+        points = np.where(self._is_frozen[:, None], np.nan, measurements.positions_world)
+        if self._bind is not None:
+            points = self._bind(points, measurements.orientations_world)
         self._on_sample(MarkerSample(self._last_time, points, self._arrived, measurements))

@@ -29,6 +29,7 @@ from jaxmocap.formats.recordings.marker_places import (
 from jaxmocap.formats.recordings.rigid_bodies import with_rigid_sets
 from jaxmocap.formats.recordings.subject import subject_or_default
 from jaxmocap.formats.time_series.axes import read_axes, to_world
+from jaxmocap.formats.time_series.exchanged import undo_exchanges
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.tables import Markers, check_times
 from jaxmocap.geometry.cameras import on_host
@@ -146,6 +147,8 @@ def load_recording(path: str | Path, subject: Mapping[str, Any] | None = None) -
     markers, (skeleton, places, marker_set), filters = _read_placed_markers(top, skeleton)
     if need_wrists(places):
         skeleton, warnings = subject_or_default(top, wrists=True)
+    markers, exchanges = undo_exchanges(markers)
+    warnings += tuple(f"{path}: {sentence}" for sentence in exchanges)
     is_present = np.isfinite(markers.positions.sum(-1))
     warnings += tuple(
         f"{path}: marker {place.name!r} is missing in every sample"

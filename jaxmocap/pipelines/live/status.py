@@ -197,6 +197,8 @@ def stream_states(
     """The state of every stream at a time, seconds."""
     yield "markers", _markers_state(markers)
     yield "missing", comma_list(gathering.missing(now)) or "none"
+    frozen = comma_list(gathering.frozen())
+    yield "frozen", frozen and f"{frozen}; repeats the last place, which is not used"
     yield from _orientation_states(gathering, places)
     if (rate := markers.senders.clock_rate) is not None:
         how = f"runs {rate:.2g} times as fast as this machine's"
