@@ -1,9 +1,9 @@
 """Markers whose labels a tracking system exchanges on the way, such as two controllers' roles.
 
 From one sample to the next each of two markers leaps to where the other one was. No hand does that.
-The labels of the first samples are kept.
+The labels that most samples have are kept.
 
-INPUTS: Markers. OUTPUTS: Markers with the labels of the start, and sentences about what changed.
+INPUTS: Markers. OUTPUTS: Markers of which each has one label, and sentences about what changed.
 """
 
 from dataclasses import replace
@@ -21,7 +21,7 @@ LONGEST_GAP_S = 0.1
 
 
 def undo_exchanges(markers: Markers) -> tuple[Markers, tuple[str, ...]]:
-    """Markers of which each label stays with its marker, and a sentence for each exchange."""
+    """Markers of which each label stays with its marker, and a sentence for each pair."""
     exchanges = _exchanges(markers.times, markers.positions)
     if not exchanges:
         return markers, ()
@@ -32,10 +32,13 @@ def undo_exchanges(markers: Markers) -> tuple[Markers, tuple[str, ...]]:
         order[[i, j]] = order[[j, i]]
         columns[row:] = order
         rows_of.setdefault((i, j), []).append(row)
+    orders, counts = np.unique(columns, axis=0, return_counts=True)
+    columns = columns[:, np.argsort(orders[counts.argmax()])]
     rows = np.arange(len(columns))[:, None]
     sentences = tuple(
         f"markers {markers.names[i]} and {markers.names[j]} exchange places within a sample, "
-        f"{len(at)} times, first at {markers.times[at[0]]:.2f} s; the labels of the start are kept"
+        f"{len(at)} times, first at {markers.times[at[0]]:.2f} s; the labels of most samples "
+        "are kept"
         for (i, j), at in rows_of.items()
     )
     orientations = markers.orientations
