@@ -33,8 +33,9 @@ from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearance
 from jaxmocap.evidence.keypoints import SightLines
+from jaxmocap.evidence.markers import measured_noise
 from jaxmocap.smoothing.facing import RunningFacing
-from jaxmocap.smoothing.settings import SmoothingSettings
+from jaxmocap.smoothing.settings import SmoothingSettings, allow_for_noise
 from jaxmocap.smoothing.window.advance import Advanced, advance
 from jaxmocap.smoothing.window.events import (
     Images,
@@ -64,8 +65,10 @@ from jaxmocap.solvers.fading import Fading
 EVENT_S, EVENT_UNSEEN_S = 0.045, 0.015
 # So is one with a marker that is farther away than this, metres, than in the last sample.
 JUMP_M = 0.3
-# Samples that frames between them take their markers from.
+# Samples that frames between them take their markers from, and that the markers' noise is by,
 RECENT_SAMPLES = 40
+# each of which it counts for so many times.
+NOISE_MEMORY = 4
 # Events that wait for the next video frame before the window is solved without one, and where no
 # event of the window has one: nothing more is to come.
 MOST_WAITING, MOST_WAITING_UNSEEN = 3, 2
@@ -119,7 +122,8 @@ class FixedLagSmoother:
         ]
         self._no_goals = np.full((2, 3), np.nan, model.dtype)
         self._blas = ThreadpoolController()
-        self._count = 0
+        self._count = self._taken = 0
+        self._noise_variance = 0.0
         self._begin()
 
     def _begin(self) -> None:
@@ -164,7 +168,7 @@ class FixedLagSmoother:
         self._count += 1
         is_placed = report is not None and bool(report.placed)
         if not is_placed and self.lies_between(time, images, sample.markers_world):
-            self._samples.append(sample)
+            self._take(sample)
             self._between.append(sample)
             return final
         assert report is not None, "a step that does not lie between others has a report"
@@ -172,12 +176,25 @@ class FixedLagSmoother:
         if last is not None and (is_placed or time - last > LONGEST_GAP_S):
             final += self.flush()
         if np.isfinite(sample.markers_world).any():
-            self._samples.append(sample)
+            self._take(sample)
         self._waiting.append(ReportedStep(*sample, images, report, lines or self._no_lines))
         most = MOST_WAITING if self._is_seen else MOST_WAITING_UNSEEN
         if len(self._waiting) < most and not self._waiting[-1].has_image:
             return final
         return final + self._settle(final=False)
+
+    def _take(self, sample: Sample) -> None:
+        """Take a sample, and from time to time the markers' noise from the newest ones."""
+        self._samples.append(sample)
+        self._taken += 1
+        if self._taken % RECENT_SAMPLES:
+            return
+        times = np.array([each.time for each in self._samples])
+        noise = measured_noise(times, np.stack([each.markers_world for each in self._samples]))
+        share = 1 / min(self._taken // RECENT_SAMPLES, NOISE_MEMORY)
+        self._noise_variance += share * (noise**2 - self._noise_variance)
+        settings = allow_for_noise(self.settings, self._noise_variance**0.5)
+        self._advance = advance.after(self.model, settings)
 
     def lies_between(self, time: float, images: Images, markers_world: np.ndarray) -> bool:
         """Whether a step follows the last event closely, and its markers (M, 3) the last sample."""
@@ -282,7 +299,8 @@ class FixedLagSmoother:
             self._between = self._between[len(earlier) :]
         if final:
             track += between_events(events, len(events), self._between)
-        poses = track_poses(self._person, [self._fade(each) for each in track])
+        faded = [self._fade(each) for each in track]
+        poses = track_poses(self._person, faded, self._noise_variance**0.5)
         deviations = self._deviations(found)
         unrecognised = {event.number: event.unrecognised for event in events}
         return [

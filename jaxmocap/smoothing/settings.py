@@ -3,7 +3,7 @@
 INPUTS: what a user tunes. OUTPUTS: a pytree of arrays.
 """
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import jax
@@ -92,6 +92,15 @@ class SmoothingSettings:
         """The terms of a frame, in the order of the fields."""
         each = (getattr(self, field.name) for field in fields(self))
         return tuple(term for term in each if isinstance(term, Term))
+
+
+def allow_for_noise(settings: SmoothingSettings, noise_m: float) -> SmoothingSettings:
+    """With markers that err by white noise in each coordinate, metres, at least."""
+    stated = settings.markers.deviation
+    if noise_m <= stated:
+        return settings
+    deviation = namespace(stated).asarray(noise_m, stated.dtype)
+    return replace(settings, markers=replace(settings.markers, deviation=deviation))
 
 
 def weigh_by_time(settings: SmoothingSettings, times: Numbers) -> SmoothingSettings:

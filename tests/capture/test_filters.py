@@ -9,6 +9,7 @@ import pytest
 from conftest import complaint
 from hypothesis import given
 from hypothesis import strategies as st
+from played_markers import played
 from small_recording import SAMPLES, small_recording, with_outlier_and_gap
 
 from jaxmocap.capture import filters
@@ -24,19 +25,9 @@ from jaxmocap.formats.recordings.filters import Filters, OneEuroSettings
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc
-from jaxmocap.synthetic.movements import motions
-from jaxmocap.synthetic.recording import marker_noise
 
 RATE = 90.0
 SIX_HZ = 6.0
-
-
-def played(seed: int, seconds: float = 6.0) -> tuple[np.ndarray, np.ndarray]:
-    """Times and the hands and head of a table-tennis player, with a headset's noise."""
-    times = np.arange(seconds * RATE) / RATE
-    landmarks = motions.table_tennis(seconds, seed).landmarks(times)
-    points = np.stack([landmarks[name] for name in ("vertex", "wrist_l", "wrist_r")], 1)
-    return times, points + marker_noise(times, 3, np.random.default_rng(seed))
 
 
 def one(path: np.ndarray) -> np.ndarray:

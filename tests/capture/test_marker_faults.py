@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from played_markers import NAMES, played
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.capture.filters import filter_markers
@@ -18,20 +19,9 @@ from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.exchanged import undo_exchanges
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.tables import Markers
-from jaxmocap.synthetic.movements import motions
-from jaxmocap.synthetic.recording import marker_noise
 
 RATE = 90.0
-NAMES = ("vertex", "wrist_l", "wrist_r")
 LEFT, RIGHT = 1, 2
-
-
-def played(seed: int, noise: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Times and the head and wrists of a table-tennis player, with a headset's noise."""
-    times = np.arange(6.0 * RATE) / RATE
-    landmarks = motions.table_tennis(6.0, seed).landmarks(times)
-    points = np.stack([landmarks[name] for name in NAMES], 1)
-    return times, points + noise * marker_noise(times, 3, np.random.default_rng(seed))
 
 
 # Frozen ------------------------------------------------------------------------------------------

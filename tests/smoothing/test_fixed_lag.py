@@ -545,6 +545,26 @@ def test_without_a_camera_poses_are_smoothed_a_tenth_of_a_second_late():
     assert np.isfinite(deviations).all() and (deviations[:, ELBOWS].max(-1) > 0.02).all()
 
 
+def test_noisy_markers_are_smoothed_more_and_stated_to_be_so():
+    """Of somebody who stands still."""
+
+    def smooth(noise: float) -> tuple[float, float]:
+        """How far wrists are off, root mean square of the last 40 samples, and are stated to be."""
+        rng, out = np.random.default_rng(0), []
+        smoother = FixedLagSmoother(Model.create(PERSON, MARKERS), SmoothingSettings())
+        for i in range(120):
+            there = markers()[0] + rng.normal(0, noise, markers()[0].shape)
+            out += smoother.step(i / RATE, there, None, report(0))
+        points, wrists = points_of(poses_of(out[-40:])), landmark_rows(["wrist_l", "wrist_r"])
+        off = points[:, wrists] - points_of(truth(COUNT))[0, wrists]
+        stated = np.stack([each.deviations[wrists] for each in out[-40:]])
+        return tuple(float(np.sqrt(np.mean(each**2))) for each in (off, stated))
+
+    off, stated = smooth(0.02)
+    assert 0.7 * off < stated and stated > 1.5 * smooth(0.001)[1]
+    assert off < 0.014
+
+
 @pytest.mark.parametrize("camera", [None, 0])
 def test_samples_that_jump_hundreds_of_times_a_second_find_room(camera):
     """Each is an event, and a window has room for few: what comes is never refused."""

@@ -98,3 +98,17 @@ def test_a_walker_is_tracked_by_what_five_others_do(recordings):
     for joint, most in MOST.items():
         assert figures[f"{joint}, cm"] < most, joint
         assert figures[f"{joint} within, %"] > 65, joint
+
+
+def test_noisy_markers_are_stated_to_be_so(recording):
+    noise = np.random.default_rng(1).normal(0, 0.02, (COUNT, 3, 3))
+    motion = track(replace(recording, positions_world=recording.positions_world + noise))
+    rows = landmark_rows(("wrist_l", "wrist_r"))
+    off = np.stack([motion.joints()[f"wrist_{side}"] for side in "lr"], 1)
+    off -= points_of(truth(COUNT))[:, rows]
+    stated = motion.report.landmarks_std[:, rows]
+    assert np.mean(np.abs(off) < 1.645 * stated) > 0.8
+    # Still they are smoothed.
+    assert np.sqrt(np.mean(off**2)) < 0.015
+    (warning,) = motion.report.settings["warnings"]
+    assert "shake by 20 mm" in warning or "shake by 2" in warning

@@ -76,7 +76,7 @@ def fit_recording(recording: Recording, progress: Progress | bool | None = None)
             first = scan_events(events, tracker, readers, part, clock)
         solved = solve_recording(
             tracker.model,
-            tracker.settings.smoothing,
+            opened.allow_for_noise(tracker.settings.smoothing),
             with_sight_lines(opened, events, first),
             cached_frames(opened.videos, ROWS),
             lambda share: show(round(36 + 54 * share), 100),

@@ -21,11 +21,13 @@ from jaxmocap.capture.keypoints import open_keypoints
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import Mode, Timeline, build_timeline
 from jaxmocap.capture.video import FrameSource
+from jaxmocap.evidence.markers import MarkerPositions, measured_noise
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.tables import usual_step
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.outputs.report import SIDES
+from jaxmocap.smoothing.settings import SmoothingSettings, allow_for_noise
 from jaxmocap.solvers.status import SENTENCES, Status
 
 # An image whose brightness varies by less (of 255) shows nothing.
@@ -111,7 +113,12 @@ class Opened(NamedTuple):
     videos: list[FrameSource]  # one per camera
     keypoints: tuple[Detections | None, ...]  # of each video; None where it has none
     cleaning: Cleaning  # what filters did to the markers
+    noise: float  # white, in each coordinate of the markers, metres
     warnings: tuple[str, ...]  # for the user
+
+    def allow_for_noise(self, settings: SmoothingSettings) -> SmoothingSettings:
+        """With markers that err by their noise at least."""
+        return allow_for_noise(settings, self.noise)
 
 
 def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
@@ -127,10 +134,14 @@ def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
         stretched = check_stretched_arms(recording, measured_bones(recording.path))
         warnings += tuple(f"{recording.path}: {finding.sentence}" for finding in stretched)
     recording, cleaning = filter_markers(recording, causal=mode == "causal")
+    noise = measured_noise(recording.times, recording.positions_world)
+    if noise > MarkerPositions().deviation:
+        shake = f"the markers shake by {1e3 * noise:.0f} mm, a standard deviation of a coordinate"
+        warnings += (f"{shake}; they count for less",)
     warnings += cleaning.warnings
     keypoints = tuple(map(open_keypoints, recording.videos, videos))
     warnings += tuple(warning for each in keypoints if each for warning in each.warnings)
-    return Opened(recording, videos, keypoints, cleaning, warnings)
+    return Opened(recording, videos, keypoints, cleaning, noise, warnings)
 
 
 def step_warnings(report: StepReport) -> Iterator[str]:

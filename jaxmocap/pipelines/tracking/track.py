@@ -213,7 +213,7 @@ def _smooth_recording(
     show: Callable[[float], None],
     why: bool,
 ) -> Trajectory | None:
-    model, settings = tracker.model, tracker.settings.smoothing
+    model, settings = tracker.model, opened.allow_for_noise(tracker.settings.smoothing)
     if not model.camera_count or not (first.frame_index >= 0).any():
         return smooth_markers(model, settings, first, show, why)
     first = with_sight_lines(opened, events, first)
