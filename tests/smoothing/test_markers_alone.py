@@ -1,5 +1,6 @@
 """A recording that no camera shows: smoothed by its markers, in stretches where it is long."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -111,4 +112,5 @@ def test_noisy_markers_are_stated_to_be_so(recording):
     # Still they are smoothed.
     assert np.sqrt(np.mean(off**2)) < 0.015
     (warning,) = motion.report.settings["warnings"]
-    assert "shake by 20 mm" in warning or "shake by 2" in warning
+    shake = re.fullmatch(r"the markers shake by (\d+) mm, .*; they count for less", warning)
+    assert shake and 17 <= int(shake[1]) <= 23
