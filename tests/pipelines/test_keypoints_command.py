@@ -275,6 +275,27 @@ def test_the_box_is_about_the_markers_wherever_the_worlds_origin_is(recording):
     np.testing.assert_allclose(actual, expected, atol=1e-3)
 
 
+@pytest.mark.parametrize("missing", [False, True])
+def test_a_frame_far_from_any_marker_is_searched_in_its_entirety(recording, missing):
+    """Nobody is where they were, or will be, seconds away."""
+    near = Recording.load(recording)
+    (source,), times, positions = near.videos, near.times.copy(), near.positions_world.copy()
+    times[12:] += 5.0
+    if missing:
+        # The same by markers that are lost.
+        times = np.append(times, times[11] + np.arange(1, 290) / 60)
+        positions = np.append(positions, np.full((289, *positions.shape[1:]), np.nan), 0)
+        order = np.argsort(times)
+        times, positions = times[order], positions[order]
+    apart = replace(near, times=times, positions_world=positions)
+    video = open_video(source)
+    video.times = video.times + np.where(np.arange(len(video)) < 6, 0.0, 2.5)
+    boxes = _boxes(apart, source.camera, video)
+    width, height = source.camera.size
+    assert (boxes[6:] == [0, 0, width, height]).all()
+    assert (boxes[:6, 2] - boxes[:6, 0] < width).all()
+
+
 def test_another_network_is_refused(tmp_path, recording, capsys):
     net = brightest(tmp_path / "net.onnx", points=5)
     assert detect(recording, detector=str(net)) == 2
