@@ -1,6 +1,7 @@
 """Load checks: sound recordings pass, and every way of spoiling one is found and named."""
 
 import json
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.capture.checks.body_reach import max_marker_distances, standing_points
 from jaxmocap.capture.checks.cameras import check_recording, project_to_pixels
-from jaxmocap.capture.checks.lengths import check_stretched_arms
+from jaxmocap.capture.checks.lengths import check_lengths, check_stretched_arms
 from jaxmocap.capture.checks.markers import check_markers
 from jaxmocap.capture.filters import filter_markers
 from jaxmocap.capture.footage import open_footage
@@ -443,6 +444,22 @@ def test_reach_is_the_length_of_the_stretched_body():
     trunk = sum(length[f"spine{i}"] for i in (1, 2, 3)) + length["clavicle_l"]
     leg = length["hip_r"] + length["femur_r"] / 2
     assert actual[0, 3] == pytest.approx(trunk + length["humerus_l"] / 2 + leg)
+
+
+def test_lengths_of_a_long_recording_take_no_more_memory_than_those_of_a_short_one():
+    """Distances of all pairs of markers would be 5 GB of half an hour's."""
+    skeleton, peaks = Skeleton.human(1.75), []
+    places = tuple(MarkerPlace(bone, bone, 0.5, (0.0, 0.0, 0.01)) for bone in skeleton.tree.bones)
+    standing = standing_points(skeleton, places)
+    for count in (20_000, 60_000):
+        positions = np.tile(standing, (count, 1, 1))
+        positions[:, 0] += [0.0, 0.0, 1.0]
+        long = Recording(skeleton, np.arange(count) / 200, positions, places, (), fit=False)
+        tracemalloc.start()
+        assert any("spine1" in finding.sentence for finding in check_lengths(long))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.1 * peaks[0]
 
 
 def test_pixels_are_those_of_the_camera_model(sound):
