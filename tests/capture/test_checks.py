@@ -1,6 +1,7 @@
 """Load checks: sound recordings pass, and every way of spoiling one is found and named."""
 
 import json
+import re
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -349,6 +350,17 @@ def test_stretched_arms_name_the_command_that_measures_them():
     assert not list(check_stretched_arms(with_arms(0.98), measured))
     assert not list(check_stretched_arms(with_arms(0.98, 0.8), ()))
     assert not list(check_stretched_arms(replace(with_arms(0.98), videos=()), ()))
+
+
+def test_the_command_that_measures_arms_writes_to_no_body_that_is_read(tmp_path, refusal):
+    """A recording's body is mostly called subject.toml, as in the pages."""
+    path, person = write_small_recording(tmp_path), tmp_path / "subject.toml"
+    path.write_text(path.read_text().replace("height = 1.75", 'file = "subject.toml"'))
+    assert main(["scale", "--height", "1.75", "--out", str(person)]) == 0
+    (finding,) = check_stretched_arms(with_arms(0.98), ())
+    (name,) = re.findall(r"--out (\S+)`", finding.sentence)
+    refused = refusal("scale", "--recording", path, "--out", tmp_path / name)
+    assert "s of markers are too few" in refused
 
 
 @pytest.mark.parametrize("factor", [1000.0, RATE])

@@ -97,7 +97,7 @@ def check_stretched_arms(recording: Recording, measured: Sequence[str]) -> Itera
                     f"[subject]: {' and '.join(pair.names)} are up to {pair.found:.2f} m apart, "
                     "both arms being stretched: this recording determines their lengths better "
                     f"than the height does; `jaxmocap scale --recording {recording.path.name} --out"
-                    " subject.toml` finds them",
+                    " measured.toml` finds them",
                 )
             return
 
