@@ -494,6 +494,20 @@ def test_check_tells_what_it_looked_at(tmp_path, capsys):
     assert figures["findings"] == [] and figures["cameras"][0]["shown_share"] == 1.0
 
 
+def test_check_says_where_no_marker_is_measured_while_a_camera_films(tmp_path, capsys):
+    path, recording = write_small_recording(tmp_path), small_recording()
+    # A second more, during which there are markers and no video.
+    times = np.concatenate([recording.times, recording.times[-1] + np.arange(1, 61) / 60])
+    missing = np.full_like(recording.positions_world, np.nan)
+    points = np.concatenate([missing, recording.positions_world[np.arange(60) % 24]])
+    columns = zip(recording.marker_names, np.moveaxis(points, 1, 0), strict=True)
+    write_trc(tmp_path / "markers.trc", times, dict(columns))
+    assert main(["check", str(path), "--json", str(tmp_path / "c.json")]) == 0
+    assert "of which none is measured while it films" in capsys.readouterr().out
+    figures = json.loads((tmp_path / "c.json").read_text())
+    assert figures["cameras"][0]["shown_share"] is None
+
+
 @pytest.mark.parametrize(
     ("field", "says"),
     [
