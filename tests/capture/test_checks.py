@@ -388,6 +388,23 @@ def test_a_video_at_the_wrong_frame_rate_covers_too_little(sound):
     assert not finding.fatal and "lasts during 25 % of the marker samples" in finding.sentence
 
 
+@pytest.mark.parametrize("height", [-0.75, 0.5])
+def test_a_floor_elsewhere_than_feet_without_markers_stand_is_a_warning(sound, five, height):
+    """Legs and pelvis would be half a metre off, and nothing said so."""
+
+    def lifted(recording: Recording) -> Recording:
+        positions_world = recording.positions_world + np.array([0.0, 0.0, height])
+        return replace(recording, positions_world=positions_world, videos=())
+
+    (finding,) = check_recording(lifted(sound), [])
+    assert finding.check == "floor" and not finding.fatal
+    stated = float(re.search(r"state floor = (\S+) in \[ik\]", finding.sentence)[1])
+    assert stated == pytest.approx(height, abs=0.15)
+    assert "stand on z = 0 m" in finding.sentence
+    # Markers on the feet tell.
+    assert names(lifted(five)) == []
+
+
 def test_a_camera_below_the_floor_is_a_warning(sound):
     camera = sound.videos[0].camera
     below = np.diag([1.0, 1.0, 1.0, 1.0])
