@@ -390,7 +390,7 @@ def test_a_video_at_the_wrong_frame_rate_covers_too_little(sound):
 
 @pytest.mark.parametrize("height", [-0.75, 0.5])
 def test_a_floor_elsewhere_than_feet_without_markers_stand_is_a_warning(sound, five, height):
-    """Legs and pelvis would be half a metre off, and nothing said so."""
+    """Legs and pelvis would be half a metre off without a word."""
 
     def lifted(recording: Recording) -> Recording:
         positions_world = recording.positions_world + np.array([0.0, 0.0, height])
