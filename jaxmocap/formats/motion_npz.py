@@ -6,6 +6,7 @@ OUTPUTS: a .npz file whose arrays are named ``times``, ``pose.position``, ``skel
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -95,7 +96,7 @@ def save_motion(path: str | Path, motion: Motion) -> None:
         arrays |= {f"report.{name}": getattr(report, name) for name in _REPORT_FIELDS}
         arrays |= {f"{_STAGE_PREFIX}{stage}": times for stage, times in report.milliseconds.items()}
         arrays["report.markers"] = np.array(report.markers, str)
-        arrays["report.statuses"] = json.dumps(report.statuses)
+        arrays["report.statuses"] = _statuses_text(report.statuses)
         # Arrays as lists; what else JSON has no word for as text.
         arrays["report.settings"] = json.dumps(
             report.settings,
@@ -218,13 +219,28 @@ def _report(file: NpzArrays, count: int) -> Report:
     )
 
 
+def _statuses_text(statuses: Sequence[tuple[str, ...]]) -> str:
+    """JSON of each sample's sentences, or of the number of the first sample that has the same.
+
+    Every sample's own would be 100 MB for an hour's.
+    """
+    first: dict[tuple[str, ...], int] = {}
+    numbers = [first.setdefault(each, i) for i, each in enumerate(statuses)]
+    return json.dumps([statuses[n] if n == i else n for i, n in enumerate(numbers)])
+
+
 def _statuses(path: str | Path, text: str, count: int) -> tuple[tuple[str, ...], ...]:
     """The sentences of each sample."""
-    lists = parse_json(path, text, _MAX_STATUS_CHARACTERS)
-    if not isinstance(lists, list) or len(lists) != count:
-        raise InputError(path, f"report.statuses: expected a JSON list of {count} lists")
-    for i, sentences in enumerate(lists):
-        if not isinstance(sentences, list) or not all(isinstance(s, str) for s in sentences):
-            listed = short_repr(sentences)
-            raise InputError(path, f"report.statuses[{i}]: found {listed}, expected sentences")
-    return tuple(map(tuple, lists))
+    entries = parse_json(path, text, _MAX_STATUS_CHARACTERS)
+    if not isinstance(entries, list) or len(entries) != count:
+        raise InputError(path, f"report.statuses: expected a JSON list of {count} entries")
+    statuses: list[tuple[str, ...]] = []
+    for i, entry in enumerate(entries):
+        if isinstance(entry, list) and all(isinstance(sentence, str) for sentence in entry):
+            statuses.append(tuple(entry))
+        elif type(entry) is int and 0 <= entry < i:
+            statuses.append(statuses[entry])
+        else:
+            expected = "expected sentences, or the number of a sample before"
+            raise InputError(path, f"report.statuses[{i}]: found {short_repr(entry)}, {expected}")
+    return tuple(statuses)

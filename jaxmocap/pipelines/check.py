@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any
 
+import numpy as np
+
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.calibration.static_trial import measured_bones
 from jaxmocap.capture.checks import Finding
@@ -70,9 +72,8 @@ class RecordingCheck:
             f"{figures['start_s']:.2f} to {figures['end_s']:.2f} s",
             *([f"set      {used.sentence()}"] if (used := self.recording.marker_set) else []),
             *(
-                f"camera   {view.camera}: {view.distance_m:.2f} m from the markers, of which it "
-                f"shows {100 * view.shown_share:.0f} %, during {100 * view.covered_share:.0f} % "
-                "of the samples"
+                f"camera   {view.camera}: {view.distance_m:.2f} m from the markers, of which "
+                f"{_shown(view)}, during {100 * view.covered_share:.0f} % of the samples"
                 for view in self.views
             ),
             *(f"warning  {sentence}" for sentence in self.warnings),
@@ -93,6 +94,13 @@ class RecordingCheck:
         """InputError with the first finding, if it is fatal."""
         if self.findings and self.findings[0].fatal:
             raise self.recording.error(self.findings[0].sentence)
+
+
+def _shown(view: MarkerVisibility) -> str:
+    """How much a camera shows of the markers that are measured while it films, if any is."""
+    if np.isnan(view.shown_share):
+        return "none is measured while it films"
+    return f"it shows {100 * view.shown_share:.0f} %"
 
 
 def check(recording: Recording) -> RecordingCheck:

@@ -175,7 +175,9 @@ def write_truth(
     with replacing(directory / "truth_angles.npz") as beside:
         np.savez(beside, times=times, **flexion_angles(landmarks))  # type: ignore[arg-type]
     masks = {
-        view.name: np.packbits([view.mask(performer, float(time)) for time in times], axis=-1)
+        view.name: np.stack(
+            [np.packbits(view.mask(performer, float(time)), axis=-1) for time in times]
+        )
         for view in views
     }
     with replacing(directory / "truth_masks.npz") as beside:

@@ -164,3 +164,15 @@ def test_the_command_refuses_in_one_sentence(tmp_path, refusal):
     ):
         assert message in refusal("scale", *given, *out)
     assert not (tmp_path / "b.toml").exists()
+
+
+def test_a_picture_that_no_run_wrote_is_not_replaced_by_that_of_the_lengths(tmp_path, refusal):
+    photograph = tmp_path / "anna.png"
+    photograph.write_bytes(b"a photograph")
+    refused = refusal("scale", "--recording", "a.toml", "--out", str(tmp_path / "anna.toml"))
+    assert f"{photograph}: is there and no earlier run wrote it" in refused
+    # Nor one that the recording names.
+    (tmp_path / "anna.toml").write_text("height = 1.8\n")
+    (tmp_path / "a.toml").write_text('[[video]]\nfile = "v.mp4"\nbackground = "anna.png"\n')
+    names = "--recording", str(tmp_path / "a.toml"), "--out", str(tmp_path / "anna.toml")
+    assert f"{photograph}: would be replaced while it is read" in refusal("scale", *names)

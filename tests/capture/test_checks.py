@@ -1,6 +1,8 @@
 """Load checks: sound recordings pass, and every way of spoiling one is found and named."""
 
 import json
+import re
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +18,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.capture.checks.body_reach import max_marker_distances, standing_points
 from jaxmocap.capture.checks.cameras import check_recording, project_to_pixels
-from jaxmocap.capture.checks.lengths import check_stretched_arms
+from jaxmocap.capture.checks.lengths import check_lengths, check_stretched_arms
 from jaxmocap.capture.checks.markers import check_markers
 from jaxmocap.capture.filters import filter_markers
 from jaxmocap.capture.footage import open_footage
@@ -350,6 +352,17 @@ def test_stretched_arms_name_the_command_that_measures_them():
     assert not list(check_stretched_arms(replace(with_arms(0.98), videos=()), ()))
 
 
+def test_the_command_that_measures_arms_writes_to_no_body_that_is_read(tmp_path, refusal):
+    """A recording's body is mostly called subject.toml, as in the pages."""
+    path, person = write_small_recording(tmp_path), tmp_path / "subject.toml"
+    path.write_text(path.read_text().replace("height = 1.75", 'file = "subject.toml"'))
+    assert main(["scale", "--height", "1.75", "--out", str(person)]) == 0
+    (finding,) = check_stretched_arms(with_arms(0.98), ())
+    (name,) = re.findall(r"--out (\S+)`", finding.sentence)
+    refused = refusal("scale", "--recording", path, "--out", tmp_path / name)
+    assert "s of markers are too few" in refused
+
+
 @pytest.mark.parametrize("factor", [1000.0, RATE])
 def test_times_that_are_not_seconds_are_refused(sound, factor):
     spoilt = replace(sound, times=sound.times * factor, videos=())
@@ -373,6 +386,23 @@ def test_a_stated_rate_that_its_time_stamps_contradict_is_a_warning(tmp_path, so
 def test_a_video_at_the_wrong_frame_rate_covers_too_little(sound):
     (finding,) = check_recording(sound, [VIDEO_TIMES[0] / 4])
     assert not finding.fatal and "lasts during 25 % of the marker samples" in finding.sentence
+
+
+@pytest.mark.parametrize("height", [-0.75, 0.5])
+def test_a_floor_elsewhere_than_feet_without_markers_stand_is_a_warning(sound, five, height):
+    """Legs and pelvis would be half a metre off without a word."""
+
+    def lifted(recording: Recording) -> Recording:
+        positions_world = recording.positions_world + np.array([0.0, 0.0, height])
+        return replace(recording, positions_world=positions_world, videos=())
+
+    (finding,) = check_recording(lifted(sound), [])
+    assert finding.check == "floor" and not finding.fatal
+    stated = float(re.search(r"state floor = (\S+) in \[ik\]", finding.sentence)[1])
+    assert stated == pytest.approx(height, abs=0.15)
+    assert "stand on z = 0 m" in finding.sentence
+    # Markers on the feet tell.
+    assert names(lifted(five)) == []
 
 
 def test_a_camera_below_the_floor_is_a_warning(sound):
@@ -445,6 +475,22 @@ def test_reach_is_the_length_of_the_stretched_body():
     assert actual[0, 3] == pytest.approx(trunk + length["humerus_l"] / 2 + leg)
 
 
+def test_lengths_of_a_long_recording_take_no_more_memory_than_those_of_a_short_one():
+    """Distances of all pairs of markers would be 5 GB of half an hour's."""
+    skeleton, peaks = Skeleton.human(1.75), []
+    places = tuple(MarkerPlace(bone, bone, 0.5, (0.0, 0.0, 0.01)) for bone in skeleton.tree.bones)
+    standing = standing_points(skeleton, places)
+    for count in (20_000, 60_000):
+        positions = np.tile(standing, (count, 1, 1))
+        positions[:, 0] += [0.0, 0.0, 1.0]
+        long = Recording(skeleton, np.arange(count) / 200, positions, places, (), fit=False)
+        tracemalloc.start()
+        assert any("spine1" in finding.sentence for finding in check_lengths(long))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.1 * peaks[0]
+
+
 def test_pixels_are_those_of_the_camera_model(sound):
     camera, points = sound.videos[0].camera, sound.positions_world[::10].reshape(-1, 3)
     expected = np.asarray(project(camera, jnp.asarray(points, jnp.float32)))
@@ -463,6 +509,20 @@ def test_check_tells_what_it_looked_at(tmp_path, capsys):
     assert "nothing wrong was found" in printed and "24 samples at 60 Hz" in printed
     figures = json.loads((tmp_path / "c.json").read_text())
     assert figures["findings"] == [] and figures["cameras"][0]["shown_share"] == 1.0
+
+
+def test_check_says_where_no_marker_is_measured_while_a_camera_films(tmp_path, capsys):
+    path, recording = write_small_recording(tmp_path), small_recording()
+    # A second more, during which there are markers and no video.
+    times = np.concatenate([recording.times, recording.times[-1] + np.arange(1, 61) / 60])
+    missing = np.full_like(recording.positions_world, np.nan)
+    points = np.concatenate([missing, recording.positions_world[np.arange(60) % 24]])
+    columns = zip(recording.marker_names, np.moveaxis(points, 1, 0), strict=True)
+    write_trc(tmp_path / "markers.trc", times, dict(columns))
+    assert main(["check", str(path), "--json", str(tmp_path / "c.json")]) == 0
+    assert "of which none is measured while it films" in capsys.readouterr().out
+    figures = json.loads((tmp_path / "c.json").read_text())
+    assert figures["cameras"][0]["shown_share"] is None
 
 
 @pytest.mark.parametrize(

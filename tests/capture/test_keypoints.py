@@ -122,6 +122,7 @@ def test_every_model_knows_both_sides_of_the_joints_of_arms_and_legs(model):
         ("COCO_18", 18, {"elbow_r": 3, "elbow_l": 6, "hip_r": 8, "hip_l": 11, "ankle_l": 13}),
         ("COCO_17", 17, {"shoulder_l": 5, "wrist_r": 10, "knee_l": 13, "ankle_r": 16}),
         ("HALPE_26", 26, {"elbow_l": 7, "vertex": 17, "neck": 18, "pelvis": 19, "toe_r": 21}),
+        ("COCO_23", 23, {"elbow_l": 7, "ankle_r": 16, "toe_l": 17, "toe_r": 20}),
         ("COCO_133", 133, {"elbow_l": 7, "ankle_r": 16, "toe_l": 17, "toe_r": 20}),
     ],
 )
@@ -171,7 +172,9 @@ def test_a_face_must_be_clearly_smaller_to_tell_the_model(times_larger, model):
 # Files -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("model", ["COCO_17", "COCO_18", "MEDIAPIPE_19", "HALPE_26", "COCO_133"])
+@pytest.mark.parametrize(
+    "model", ["COCO_17", "COCO_18", "MEDIAPIPE_19", "COCO_23", "HALPE_26", "COCO_133"]
+)
 def test_openpose_files_of_every_other_count_need_no_model(tmp_path, model):
     names = [f"cam_01_{i:012d}_keypoints.json" for i in range(8, 12)]
     write(tmp_path, {name: openpose(points(model, i)) for i, name in enumerate(names)})

@@ -27,7 +27,7 @@ from jaxmocap.calibration.fitting.camera_plan.placement import (
     penalty,
 )
 from jaxmocap.cli.setup import plan
-from jaxmocap.geometry.cameras import Camera, camera_of_fov
+from jaxmocap.geometry.cameras import Camera, camera_of_fov, project
 from jaxmocap.geometry.lenses import BROWN_CONRADY, FISHEYE, LENSES
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.planning.requirements import Requirements, fov_across_deg
@@ -186,12 +186,23 @@ def test_being_too_near_and_looking_aside_cost_by_their_slope(place):
         ),
         (
             CameraPlace(-2.0, -0.0, 1.0, np.radians(10.0), 0.2, 0.0),
-            "2.0 m away, straight behind, 1.0 m high, looks 11° up, 10° to the left of the person",
+            "2.0 m away, straight behind, 1.0 m high, looks 11° up, the person 10° right of the "
+            "image's middle",
+        ),
+        (
+            AHEAD._replace(yaw=np.pi - 0.1, pitch=0.0),
+            "2.6 m away, straight ahead, 1.3 m high, looks level, the person 6° left of the "
+            "image's middle",
         ),
     ],
 )
 def test_a_place_in_words(place, words):
     assert in_words(place) == words
+    if "middle" in words:
+        camera = camera_at(lens(), Frame(0.0, 0.0, 0.0), numbers(*place))
+        middle = (np.asarray(camera.size) - 1) / 2
+        is_right = bool(project(camera, jnp.array([0.0, 0.0, 1.0]))[0] > middle[0])
+        assert is_right == ("right of" in words)
 
 
 @pytest.mark.parametrize(

@@ -208,8 +208,9 @@ def test_a_report_may_hold_what_is_unknown_or_unbounded(tmp_path, motion):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"statuses": np.array("[[]]")}, "expected a JSON list of 60 lists"),
+        ({"statuses": np.array("[[]]")}, "expected a JSON list of 60 entries"),
         ({"statuses": np.array(json.dumps([[1]] * SAMPLES))}, "found [1], expected sentences"),
+        ({"statuses": np.array(json.dumps([0] * SAMPLES))}, "statuses[0]: found 0, expected sent"),
         ({"statuses": np.array("[" * 200_000)}, "JSON nested too deeply"),
         ({"settings": np.array("{" + '"a":{' * 200 + "}" * 201)}, "JSON nested too deeply"),
         ({"settings": np.array("3")}, "report.settings: found 3, expected a JSON table"),

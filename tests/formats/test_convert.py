@@ -145,6 +145,18 @@ def test_bvh_files_say_what_they_leave_out(folder):
     )
 
 
+def test_a_single_joint_is_no_body_to_be_drawn(tmp_path):
+    """As of a camera or a racket that was tracked."""
+    joint = "ROOT racket\n{\nOFFSET 0 0 0\nCHANNELS 3 Xposition Yposition Zposition\n}\n"
+    motion = "MOTION\nFrames: 2\nFrame Time: 0.01\n0 1 0\n0 2 0\n"
+    (tmp_path / "racket.bvh").write_text(f"HIERARCHY\n{joint}{motion}")
+    files = tmp_path / "racket.bvh", tmp_path / "racket.glb"
+    assert "found no joint away from its parent" in complaint(
+        convert_file, *files, ConversionOptions(unit="m")
+    )
+    assert not files[1].exists()
+
+
 def test_what_cannot_be_converted_is_refused_in_one_sentence(folder, recordings):
     def refused(source, target, **given) -> str:
         files = folder / source, folder / target

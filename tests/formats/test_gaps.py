@@ -7,8 +7,10 @@ from moving_body import RATE, SAMPLES, moving_body, with_parts
 
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.animation.gltf_in import read_gltf
+from jaxmocap.formats.armatures.body_armature import armature_of
 from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.motion_npz import save_motion
+from jaxmocap.formats.time_series import resampling
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.resampling import LONGEST_BRIDGED_S, even_times, is_gap
 from jaxmocap.formats.time_series.trc import write_trc
@@ -86,6 +88,17 @@ def test_a_bvh_file_holds_its_poses_through_a_short_gap(tmp_path):
     assert len(within) == 2 * RATE
     near = [np.abs(within - measured[i]).max((1, 2)) < 2e-6 for i in (MIDDLE - 1, MIDDLE)]
     assert (near[0] | near[1]).all() and near[0][0] and near[1][-1]
+
+
+def test_a_bvh_file_of_more_orientations_than_fit_into_memory_at_once_is_written(
+    tmp_path, monkeypatch
+):
+    """Of uneven samples: they are computed as they are written."""
+    columns = 9 * len(armature_of(moving_body()).names)
+    monkeypatch.setattr(resampling, "ALWAYS_ALLOWED_NUMBERS", 0)
+    monkeypatch.setattr(resampling, "MAX_NUMBERS", columns * SAMPLES // 2)
+    assert write_animation(tmp_path / "a.bvh", with_gap(0.01)) is None
+    assert len(read_markers(tmp_path / "a.bvh").times) == SAMPLES
 
 
 @pytest.mark.parametrize("target", ["b.trc", "b.csv"])

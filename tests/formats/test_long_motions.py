@@ -1,15 +1,17 @@
-"""What a long motion takes in memory while its files are written."""
+"""What a long motion takes in memory while its files are written, and that they are."""
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from jaxmocap.body.motion import Motion
+from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.armatures import armature
+from jaxmocap.formats.motion_npz import load_motion, save_motion
 from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.mot import write_isb, write_mot
 from jaxmocap.formats.time_series.trc import write_trc
@@ -67,3 +69,18 @@ def test_a_sample_more_takes_little_more_memory(name, tmp_path, monkeypatch):
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert (peaks[1] - peaks[0]) / (counts[1] - counts[0]) < most, peaks
+
+
+def test_sentences_that_many_samples_share_are_in_the_file_once(tmp_path):
+    """An hour's own of every sample are more than is read."""
+    motion, count = swaying(2_000), 2_000
+    sentences = ("marker Hand is missing", "left elbow: not determined within 15 cm")
+    statuses = tuple(sentences[: i % 3] for i in range(count))
+    none, unknown = np.zeros((count, 0)), np.full((count, 2), np.nan)
+    of_all = np.zeros((count, len(LANDMARKS), 3))
+    report = Report((), none, unknown, unknown, of_all, of_all[..., 0], statuses)
+    save_motion(tmp_path / "motion.npz", replace(motion, report=report))
+    read = load_motion(tmp_path / "motion.npz").report
+    assert read is not None and read.statuses == statuses
+    with np.load(tmp_path / "motion.npz") as file:
+        assert len(str(file["report.statuses"])) < 5 * count

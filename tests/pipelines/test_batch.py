@@ -364,16 +364,21 @@ def test_recordings_are_toml_files_with_markers_at_any_depth(tmp_path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("[markers]" if name != "no.toml" else "[camera]")
     (tmp_path / "damaged.toml").write_text("[markers")
+    live = '[markers.on]\nHmd = { bone = "head" }\n[vmc]\nsend = "127.0.0.1:39539"\n'
+    (tmp_path / "b" / "live.toml").write_text(live)
+    # A recording, if a wrong one.
+    (tmp_path / "misspelt.toml").write_text('[markers]\nfiel = "a.trc"\n' + live)
     actual = [
         path.relative_to(tmp_path.resolve()).as_posix()
         for path in find_recordings(tmp_path, tmp_path / "out")
     ]
-    assert actual == ["a.toml", "b/other.toml", "b/recording.toml", "damaged.toml"]
+    found = ["a", "b/other", "b/recording", "damaged", "misspelt"]
+    assert actual == [f"{name}.toml" for name in found]
     folders = [
         job.folder.relative_to(tmp_path.resolve() / "out").as_posix()
         for job in jobs_of(tmp_path, tmp_path / "out", MARKERS_ONLY, "own")
     ]
-    assert folders == ["a", "b/other", "b/recording", "damaged"]
+    assert folders == found
 
 
 def test_a_corpus_without_recordings_is_bad_input(tmp_path):

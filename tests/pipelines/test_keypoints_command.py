@@ -1,6 +1,7 @@
 """``jaxmocap keypoints``: a detector's process, an ONNX model, what is written and refused."""
 
 import errno
+import json
 import re
 import sys
 from codecs import BOM_UTF8
@@ -217,10 +218,16 @@ def test_another_detector_is_refused(recording, detector, expected, capsys):
     assert expected in capsys.readouterr().err.splitlines()[-1]
 
 
-def brightest(path: Path, points: int = 17, size: tuple[int, int] = (24, 32)) -> Path:
+def brightest(
+    path: Path,
+    points: int = 17,
+    size: tuple[int, int] = (24, 32),
+    kind: int = TensorProto.FLOAT,
+    batch: str | int = "batch",
+) -> Path:
     """A network all of whose points lie where the image is brightest."""
     width, height = size
-    image = helper.make_tensor_value_info("image", TensorProto.FLOAT, ["batch", 3, height, width])
+    image = helper.make_tensor_value_info("image", kind, [batch, 3, height, width])
     nodes, outputs = [], []
     for name, along, count in (("x", 2, width), ("y", 3, height)):
         axes = helper.make_tensor(f"axes_{name}", TensorProto.INT64, [2], [1, along])
@@ -235,8 +242,8 @@ def brightest(path: Path, points: int = 17, size: tuple[int, int] = (24, 32)) ->
         )
         nodes.append(helper.make_node("Unsqueeze", [f"row_{name}", one.name], [f"rows_{name}"]))
         nodes.append(helper.make_node("Expand", [f"rows_{name}", many.name], [name]))
-        shape = ["batch", points, count]
-        outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, shape))
+        shape = [batch, points, count]
+        outputs.append(helper.make_tensor_value_info(name, kind, shape))
     graph = helper.make_graph(nodes, "brightest", [image], outputs)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
     onnx.checker.check_model(model)
@@ -244,8 +251,9 @@ def brightest(path: Path, points: int = 17, size: tuple[int, int] = (24, 32)) ->
     return path
 
 
-def test_a_network_gives_pixels_of_the_whole_image(tmp_path):
-    detector = onnx_detector(brightest(tmp_path / "net.onnx"))
+@pytest.mark.parametrize("kind", [TensorProto.FLOAT, TensorProto.FLOAT16])
+def test_a_network_gives_pixels_of_the_whole_image(tmp_path, kind):
+    detector = onnx_detector(brightest(tmp_path / "net.onnx", kind=kind))
     image = np.zeros((90, 120, 3), np.uint8)
     image[47:56, 67:76] = 255
     assert detector.model == "COCO_17"
@@ -257,6 +265,15 @@ def test_a_network_gives_pixels_of_the_whole_image(tmp_path):
             np.testing.assert_allclose(found[:, :2], np.tile([71, 51], (17, 1)), atol=4.5 + cell)
             assert (found[:, 2] == 1).all()
         assert detected(np.zeros_like(image), np.array([0.0, 0, 120, 90])) is None
+
+
+def test_of_a_network_of_133_points_those_of_the_body_are_written(recording, tmp_path):
+    """With face and hands a quarter of an hour's file would be more than is read."""
+    assert detect(recording, detector=str(brightest(tmp_path / "net.onnx", points=133))) == 0
+    file = recording.parent / "keypoints" / "cam.json"
+    people = [each["instances"] for each in json.loads(file.read_text())["instance_info"]]
+    assert {len(each["keypoints"]) for person in people for each in person} == {23}
+    assert "toe_l" in read_keypoints(file).landmarks
 
 
 def test_the_command_takes_a_network(recording, tmp_path, capsys):
@@ -275,10 +292,37 @@ def test_the_box_is_about_the_markers_wherever_the_worlds_origin_is(recording):
     np.testing.assert_allclose(actual, expected, atol=1e-3)
 
 
+@pytest.mark.parametrize("missing", [False, True])
+def test_a_frame_far_from_any_marker_is_searched_in_its_entirety(recording, missing):
+    """Nobody is where they were, or will be, seconds away."""
+    near = Recording.load(recording)
+    (source,), times, positions = near.videos, near.times.copy(), near.positions_world.copy()
+    times[12:] += 5.0
+    if missing:
+        # The same by markers that are lost.
+        times = np.append(times, times[11] + np.arange(1, 290) / 60)
+        positions = np.append(positions, np.full((289, *positions.shape[1:]), np.nan), 0)
+        order = np.argsort(times)
+        times, positions = times[order], positions[order]
+    apart = replace(near, times=times, positions_world=positions)
+    video = open_video(source)
+    video.times = video.times + np.where(np.arange(len(video)) < 6, 0.0, 2.5)
+    boxes = _boxes(apart, source.camera, video)
+    width, height = source.camera.size
+    assert (boxes[6:] == [0, 0, width, height]).all()
+    assert (boxes[:6, 2] - boxes[:6, 0] < width).all()
+
+
 def test_another_network_is_refused(tmp_path, recording, capsys):
     net = brightest(tmp_path / "net.onnx", points=5)
     assert detect(recording, detector=str(net)) == 2
     assert "found 5 points, expected one of 17, 26, 133" in capsys.readouterr().err
+    net = brightest(tmp_path / "net.onnx", kind=TensorProto.DOUBLE)
+    assert detect(recording, detector=str(net)) == 2
+    assert "found inputs [('tensor(double)', 'batch', 3, 32, 24)]" in capsys.readouterr().err
+    net = brightest(tmp_path / "net.onnx", batch=4)
+    assert detect(recording, detector=str(net)) == 2
+    assert "found inputs [('tensor(float)', 4, 3, 32, 24)]" in capsys.readouterr().err
     (tmp_path / "text.onnx").write_text("no network")
     assert detect(recording, detector=str(tmp_path / "text.onnx")) == 2
     assert "cannot be read as ONNX" in capsys.readouterr().err

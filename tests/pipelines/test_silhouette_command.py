@@ -172,6 +172,33 @@ def test_one_camera_with_key_points_has_one_pass_unless_lengths_are_corrected(
     assert asked.value.args == (expected,)
 
 
+def marked(folder, metres: float = 1.0, later: float = 0.0) -> Recording:
+    """The same with markers on head and foot, in another unit or at another time."""
+    on = {"Head": {"bone": "head"}, "Foot": {"bone": "foot_l"}}
+    places = {"Head": [0.1, 0.0, 1.7], "Foot": [0.1, 0.1, 0.05]}
+    points = {name: metres * np.tile(place, (3, 1)) for name, place in places.items()}
+    write_trc(folder / "m.trc", later + np.arange(3) / 30, points)
+    return Recording.load(
+        write_recording(
+            folder / "marked.toml", "m.trc", on, VIDEOS, "calibration.toml", {"height": 1.75}
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("metres", "later", "expected"),
+    [(1000.0, 0.0, "the numbers look like millimetres"), (1.0, 60.0, "no overlap")],
+)
+def test_markers_that_are_followed_are_checked_as_track_does(
+    folder, monkeypatch, metres, later, expected
+):
+    recording = marked(folder, metres, later)
+    start = standing_pose_at(with_joints(recording.skeleton, Settings.body), 0.0, 0.0, 0.0)
+    monkeypatch.setattr(track, "run_passes", None)
+    with pytest.raises(InputError, match=expected):
+        track.track_silhouettes(recording, start, markers=True)
+
+
 def test_markers_are_followed_where_the_body_moves_their_bones(folder, monkeypatch):
     class AskedError(Exception):
         """Instead of passes."""
@@ -180,12 +207,7 @@ def test_markers_are_followed_where_the_body_moves_their_bones(folder, monkeypat
         raise AskedError([bundle.measured["markers"] for bundle in bundles()])
 
     recording = Recording.load(folder / "recording.toml")
-    on = {"Head": {"bone": "head"}, "Foot": {"bone": "foot_l"}}
-    write_trc(folder / "m.trc", np.arange(3) / 30, {name: np.ones((3, 3)) for name in on})
-    path = write_recording(
-        folder / "marked.toml", "m.trc", on, VIDEOS, "calibration.toml", {"height": 1.75}
-    )
-    recording, settings = Recording.load(path), Settings(body="torso.toml")
+    recording, settings = marked(folder), Settings(body="torso.toml")
     start = standing_pose_at(with_joints(recording.skeleton, settings.body), 0.0, 0.0, 0.0)
     monkeypatch.setattr(track, "run_passes", ask)
     with pytest.raises(AskedError) as asked:

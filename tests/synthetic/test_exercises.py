@@ -1,5 +1,8 @@
 """Exercises of a rigged mesh before four cameras: what moves, what stays, what is visible."""
 
+import tracemalloc
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from jaxmocap.synthetic.four_cameras import (
     flexion_angles,
     read_masks,
     write_four_cameras,
+    write_truth,
 )
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.exercises import EXERCISES, PLANTED, exercise
@@ -136,6 +140,19 @@ def test_four_synchronous_videos_and_the_truth_are_written(rig, tmp_path):
         assert mask[0, y - 4 : y + 5, x - 4 : x + 5].all() and 0.02 < mask.mean() < 0.4
     with np.load(tmp_path / "truth_angles.npz") as angles:
         np.testing.assert_allclose(angles["knee_l"], flexion_angles(points)["knee_l"])
+
+
+def test_true_masks_of_many_frames_are_in_memory_as_bits(tmp_path):
+    """As bytes a minute of four cameras would be a gigabyte."""
+    view = SimpleNamespace(name="cam", mask=lambda _, time: np.full((480, 640), time > 0.5))
+    person, times = motions.squat(1.0), np.arange(120) / 120
+    tracemalloc.start()
+    write_truth(tmp_path, person, times, (view,))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 120 * 480 * 640 / 2
+    masks = read_masks(tmp_path / "truth_masks.npz")["cam"]
+    np.testing.assert_array_equal(masks.all((1, 2)), times > 0.5)
 
 
 def test_whoever_moves_can_be_seen_by_four_cameras(tmp_path):

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from jaxmocap.body.model import LOWER_LEG
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.body_reach import ReachCounts, standing_points
@@ -51,6 +52,9 @@ LEVEL_RANGE = (0.6, 1.8)
 # Nobody is tracked who is upside down in most samples. Heights are so for certain if they differ so
 # much the other way round; hands held up as far as they reach make it 0.45, on the back 0.66.
 INVERTED_SHARE = 0.75
+# A head may be so much too high or low for somebody who stands on z = 0, metres: people bow, and
+# are taller than stated.
+MAX_FLOOR_M = 0.35
 # A world of a continent's size: no place on the Earth's maps is farther from their origin.
 MAX_COORDINATE_M = 1e7
 
@@ -70,8 +74,11 @@ def check_markers(recording: Recording) -> list[Finding]:
         *check_sides(recording),
         *check_heights(recording),
     ]
-    # A marker on a wrong bone says nothing of lengths.
-    return findings + (list(_check_reach(recording)) or list(check_lengths(recording)))
+    # A marker on a wrong bone says nothing of lengths; and what is wrong so far explains a floor.
+    return findings + (
+        list(_check_reach(recording))
+        or [*check_lengths(recording), *(() if findings else _check_floor(recording))]
+    )
 
 
 def _check_positions(recording: Recording) -> Iterator[Finding]:
@@ -206,6 +213,27 @@ def _check_up(recording: Recording) -> Iterator[Finding]:
             f"a standing person's heights){unless}, the file's axis points down or an axis is "
             "mirrored: state to_world in place of up",
             fatal=is_certain,
+        )
+
+
+def _check_floor(recording: Recording) -> Iterator[Finding]:
+    """Feet that no marker holds stand on z = 0, wherever the world's floor is."""
+    skeleton, places = recording.skeleton, recording.places
+    on_head = [i for i, place in enumerate(places) if place.bone == "head"]
+    on_legs = set(skeleton.tree.names_in(*LOWER_LEG)) & {place.bone for place in places}
+    heads = recording.positions_world[:, on_head, 2]
+    if on_legs or not np.isfinite(heads).any():
+        return
+    standing = standing_points(skeleton, places)[on_head, 2]
+    floor, tall = float(np.nanmedian(heads - standing)), float(standing.mean())
+    if abs(floor) > MAX_FLOOR_M:
+        zero = float(recording.origin_world[2])
+        yield Finding(
+            "floor",
+            f"[markers] file: the head is at z = {zero + floor + tall:.2f} m in the median, on "
+            f"somebody who stands {tall:.2f} m above the floor, and feet without markers stand on "
+            f"z = {zero:g} m: unless the person sits or crouches, state floor = {floor:.2f} in "
+            "[ik] of a settings file (--settings)",
         )
 
 

@@ -4,7 +4,6 @@ INPUTS: a height, a static trial or a recording. OUTPUTS: subject.toml; its leng
 """
 
 import argparse
-from pathlib import Path
 
 from jaxmocap.cli.command import PairsAction, files_read, pair, positive_number, report
 from jaxmocap.formats.files.errors import InputError
@@ -56,8 +55,8 @@ def run(options: argparse.Namespace) -> None:
     from jaxmocap.formats.files.writing import check_target
     from jaxmocap.formats.recordings.subject import check_replaceable
 
-    check_target(options.out, files_read(options))
-    check_replaceable(Path(options.out))
+    out = check_target(options.out, files_read(options))
+    check_replaceable(out)
     if options.recording is None:
         from jaxmocap.calibration.static_trial import scale_subject
 
@@ -74,6 +73,11 @@ def run(options: argparse.Namespace) -> None:
         stated = "--landmarks, --up and --wrists do not go with --recording, whose file states them"
         raise InputError(options.recording, stated)
     else:
+        # The picture of the lengths replaces that of an earlier run alone.
+        picture = check_target(out.with_suffix(".png"), files_read(options))
+        if picture.exists() and not out.exists():
+            problem = "is there and no earlier run wrote it; move it away, or choose another --out"
+            raise InputError(picture, problem)
         # A recording takes what tracks, which height and static trial do without.
         from jaxmocap.pipelines.kept_programs import keep_compiled
         from jaxmocap.pipelines.scaling.fit_lengths import scale_by_recording

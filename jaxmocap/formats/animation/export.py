@@ -76,7 +76,8 @@ def _evenly_sampled(path: str | Path, armature: Armature) -> Armature:
         problem = f"BVH has one rate only, and its {len(times)} samples at {rate:g} Hz would take"
         gap = f"{count:.6g} frames (up to {steps.max():g} s apart)"
         raise BeyondFormatError(path, f"{problem} {gap}, expected at most {most}")
-    return resample_armature(armature, even_times(times, rate, 9 * len(armature.names), path))
+    # Only positions are in memory at once.
+    return resample_armature(armature, even_times(times, rate, 3, path))
 
 
 def write_avatar(

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 import jaxmocap
 from jaxmocap.formats.animation.glb import BinaryChunk, write_document
 from jaxmocap.formats.armatures.armature import Armature, BeyondFormatError
-from jaxmocap.formats.armatures.skin import SkinnedMesh, limb_mesh
+from jaxmocap.formats.armatures.skin import SHORTEST_LIMB_M, SkinnedMesh, limb_mesh
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.resampling import hold_across_gaps
 from jaxmocap.geometry.origin import local_origin
@@ -43,7 +43,7 @@ def write_gltf(
     Raises:
         InputError: every sample's pose is missing.
         BeyondFormatError: it lasts too long for single precision to separate its samples, or for
-            the size of a file.
+            the size of a file; or there is no limb.
     """
     if not armature.is_valid.any():
         raise InputError(path, "every sample's pose is missing")
@@ -54,6 +54,9 @@ def write_gltf(
     if not (np.diff((times - times[0]).astype(np.float32)) > 0).all():
         problem = f"glTF holds times in single precision, in which samples within {np.ptp(times):g}"
         raise BeyondFormatError(path, f"{problem} s fall together")
+    if mesh is None and not (np.linalg.norm(armature.offsets, axis=-1) >= SHORTEST_LIMB_M).any():
+        problem = "found no joint away from its parent, expected a limb to be drawn"
+        raise BeyondFormatError(path, problem)
     mesh = limb_mesh(armature) if mesh is None else mesh
     binary, joints = BinaryChunk(), list(range(len(armature.names)))
     body = {"name": "body", "mesh": 0, "skin": 0}

@@ -29,7 +29,8 @@ _HALPE_FEET = (
     *("left_heel", "right_heel"),
 )
 # Model -> its points in the file's order. OpenPose: BODY_25, BODY_25B, COCO_18. RTMPose, MMPose
-# and Pose2Sim: COCO_17, HALPE_26, COCO_133 (whose 110 points of face and hands are of no use here).
+# and Pose2Sim: COCO_17, HALPE_26, COCO_133 (whose 110 points of face and hands are of no use here:
+# COCO_23 is without them).
 # MEDIAPIPE_19: of MediaPipe's 33 points those that COCO has, and the toes.
 MODELS: dict[str, tuple[str, ...]] = {
     "BODY_25": ("nose", "mid_shoulder", *_ARMS, "hip", *_LEGS, *_FACE, *_FEET),
@@ -37,6 +38,7 @@ MODELS: dict[str, tuple[str, ...]] = {
     "COCO_18": ("nose", "mid_shoulder", *_ARMS, *_LEGS, *_FACE),
     "COCO_17": _COCO,
     "MEDIAPIPE_19": (*_COCO, "left_big_toe", "right_big_toe"),
+    "COCO_23": (*_COCO, *_FEET),
     "HALPE_26": (*_COCO, "head", "neck", "hip", *_HALPE_FEET),
     "COCO_133": (*_COCO, *_FEET, *[""] * 110),
 }

@@ -21,6 +21,7 @@ from jaxmocap.formats.files.toml import read_toml
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.recordings.recording_files import input_files
 from jaxmocap.outputs.report import write_figures
+from jaxmocap.pipelines.live.setup import LIVE_MARKERS_KEYS
 from jaxmocap.pipelines.writing import MOTION
 
 # In a tracked recording's folder: a fingerprint of what it was tracked from, and its row.
@@ -45,7 +46,7 @@ class CorpusRow:
 
 
 def find_recordings(corpus: str | Path, out: str | Path) -> list[Path]:
-    """All TOML files with [markers] in a folder and below, but for those of the outputs.
+    """All TOML files with [markers] in a folder and below, but for those of outputs and live runs.
 
     What is not TOML at all is taken for a recording, whose tracking then says what is wrong.
 
@@ -67,9 +68,13 @@ def find_recordings(corpus: str | Path, out: str | Path) -> list[Path]:
 
 def _is_recording(path: Path) -> bool:
     try:
-        return "markers" in read_toml(path)
+        content = read_toml(path)
     except InputError:
         return True
+    # That of a live run says where markers sit, and nothing that only a recording says.
+    markers = content.get("markers", {})
+    is_live = isinstance(markers, dict) and {"on"} <= set(markers) <= set(LIVE_MARKERS_KEYS)
+    return "markers" in content and not is_live
 
 
 def readable_inputs(recording: Path) -> list[Path]:

@@ -13,14 +13,17 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.keypoint_models import MODELS
 from jaxmocap.images.crops import crop_image
 from jaxmocap.pipelines.keypoints.detect import Detect, Detector
 
 # What these networks are trained with: RGB, 0 to 255.
 MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 DEVIATION = np.array([58.395, 57.12, 57.375], np.float32)
-# Number of points -> model.
-MODEL_OF_COUNT = {17: "COCO_17", 26: "HALPE_26", 133: "COCO_133"}
+# A network's type of numbers -> NumPy's.
+DTYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
+# Number of points -> model of the first of them: face and hands would be most of a file.
+MODEL_OF_COUNT = {17: "COCO_17", 26: "HALPE_26", 133: "COCO_23"}
 # With less confidence in every point nobody is there.
 LEAST_CONFIDENCE = 0.1
 
@@ -34,9 +37,11 @@ def onnx_detector(path: Path) -> Detector:
     session = _session(path)
     inputs, outputs = session.get_inputs(), session.get_outputs()
     shape = inputs[0].shape if len(inputs) == 1 else []
-    if len(shape) != 4 or shape[1] != 3 or not all(isinstance(n, int) for n in shape[2:]):
-        expected = "expected one image of 3 channels and a fixed height and width"
-        raise InputError(path, f"found inputs {[tuple(i.shape) for i in inputs]}, {expected}")
+    fixed = [isinstance(n, int) for n in shape]
+    is_image = len(shape) == 4 and shape[1] == 3 and all(fixed[2:])
+    if not is_image or inputs[0].type not in DTYPES or (fixed[0] and shape[0] != 1):
+        expected = "expected one image of 3 channels, a fixed height and width, floats"
+        raise InputError(path, f"found inputs {[(i.type, *i.shape) for i in inputs]}, {expected}")
     bins = [output.shape[-1] for output in outputs]
     counts = {output.shape[1] for output in outputs if len(output.shape) == 3}
     if len(outputs) != 2 or len(counts) != 1 or not all(isinstance(n, int) for n in bins):
@@ -52,7 +57,8 @@ def onnx_detector(path: Path) -> Detector:
 
     @contextmanager
     def opened() -> Iterator[Detect]:
-        yield lambda image, box: _detect_person(session, image, box, size, bins_per_pixel)
+        count = len(MODELS[model])
+        yield lambda image, box: _detect_person(session, image, box, size, bins_per_pixel, count)
 
     return Detector(model, opened)
 
@@ -77,12 +83,16 @@ def _detect_person(
     box: np.ndarray,
     size: tuple[int, int],
     bins_per_pixel: tuple[float, float],
+    count: int,
 ) -> np.ndarray | None:
-    """(K, 3) pixels and confidences of the person in a box; None where nobody is."""
-    crop = crop_image(image, box, size)
-    pixels = (crop.image[..., ::-1] - MEAN) / DEVIATION
-    given = {session.get_inputs()[0].name: np.moveaxis(pixels, -1, 0)[None].astype(np.float32)}
-    along = [np.asarray(part)[0] for part in session.run(None, given)]
+    """(K, 3) pixels and confidences of the first K = ``count`` points of the person in a box.
+
+    None where nobody is.
+    """
+    crop, (input_,) = crop_image(image, box, size), session.get_inputs()
+    pixels = np.moveaxis((crop.image[..., ::-1] - MEAN) / DEVIATION, -1, 0)[None]
+    outputs = session.run(None, {input_.name: pixels.astype(DTYPES[input_.type])})
+    along = [np.asarray(part, np.float32)[0, :count] for part in outputs]
     confidence = np.minimum(*(part.max(-1) for part in along))
     if confidence.max() < LEAST_CONFIDENCE:
         return None

@@ -24,6 +24,7 @@ from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.files.writing import write_text
 from jaxmocap.formats.recordings.keypoint_models import MODELS
 from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.resampling import LONGEST_BRIDGED_S
 from jaxmocap.geometry.cameras import Camera, depth, on_host, project
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.progress import Progress, progress_bar
@@ -97,7 +98,7 @@ def detect_keypoints(
 
 
 def _boxes(recording: Recording, camera: Camera, video: FrameSource) -> np.ndarray:
-    """(F, 4) where the markers' pose is in each frame; the whole image without markers."""
+    """(F, 4) where the markers' pose is in each frame; all of the image far from any marker."""
     width, height = video.size
     whole = np.array([0.0, 0.0, width, height])
     boxes = np.tile(whole, (len(video), 1))
@@ -109,10 +110,11 @@ def _boxes(recording: Recording, camera: Camera, video: FrameSource) -> np.ndarr
     )
     # As the camera, about the local origin.
     points = landmarks_over_time(motion.skeleton, motion.poses)
-    nearest, _ = nearest_times(motion.times, video.times)
-    camera, there = on_host(camera), np.asarray(points[nearest], float)
+    marked = np.flatnonzero(np.isfinite(recording.positions_world).all(-1).any(-1))
+    nearest, away = nearest_times(motion.times[marked], video.times)
+    camera, there = on_host(camera), np.asarray(points[marked[nearest]], float)
     pixels = project(camera, there)
-    visible = np.isfinite(there).all((1, 2)) & (depth(camera, there) > 0).all(1)
+    visible = (away <= LONGEST_BRIDGED_S) & (depth(camera, there) > 0).all(1)
     low, high = pixels.min(1), pixels.max(1)
     wider = MARGIN * (high - low).max(1, keepdims=True)
     around = np.clip(np.hstack([low - wider, high + wider]), 0, np.tile([width, height], 2))

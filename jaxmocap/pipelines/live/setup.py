@@ -35,6 +35,8 @@ from jaxmocap.outputs.senders.vrchat import VrchatTable
 # Name of a table -> what it asks for. A run has one source, the first where its file names none.
 SOURCES: dict[str, type[SourceTable]] = {"osc": OscTable, "lsl": LslTable}
 SENDERS: dict[str, type[SenderTable]] = {"vmc": VmcTable, "vrchat": VrchatTable}
+# Of [markers].
+LIVE_MARKERS_KEYS = ("up", "to_world", "on", "filters")
 # More than any live run has; compiling takes as long as there are markers.
 MAX_MARKERS = 200
 # The rotation by nothing, wxyz.
@@ -127,8 +129,7 @@ def _places(on: TomlTable, source: SourceTable) -> tuple[MarkerPlace, ...]:
 
 def _on(top: TomlTable) -> TomlTable:
     """The table [markers.on], its names checked."""
-    keys = ("up", "to_world", "on", "filters")
-    fields = TomlTable(top.path, "[markers]", top.require("markers"), keys)
+    fields = TomlTable(top.path, "[markers]", top.require("markers"), LIVE_MARKERS_KEYS)
     on = TomlTable(top.path, "[markers.on]", fields.require("on"))
     if not on.entries:
         raise on.error("", "names no marker, expected entries such as Hmd = { bone = 'head' }")

@@ -85,10 +85,10 @@ def in_words(place: CameraPlace) -> str:
     elif abs(azimuth) > 177:
         around = "straight behind"
     level = f"{abs(pitch):.0f}° {'down' if pitch < 0 else 'up'}" if abs(pitch) >= 1 else "level"
-    # How far beside the person the line of sight goes, positive to the person's left of it.
-    aside = float(np.degrees(place.yaw)) - (azimuth + 180)
-    aside = _within_half_turn(aside)
-    beside = f", {abs(aside):.0f}° to the {'left' if aside > 0 else 'right'} of the person"
+    # How far the camera is turned to its left of the person, who is then right in its image.
+    aside = _within_half_turn(float(np.degrees(place.yaw)) - (azimuth + 180))
+    side = "right" if aside > 0 else "left"
+    beside = f", the person {abs(aside):.0f}° {side} of the image's middle"
     looks = f"looks {level}{beside if abs(aside) >= 3 else ''}"
     return f"{place.distance:.1f} m away, {around}, {float(place.height):.1f} m high, {looks}"
 

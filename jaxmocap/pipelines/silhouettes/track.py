@@ -19,7 +19,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, with_joints
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.capture.footage import forward_readers
+from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.photographs import read_empty_room
 from jaxmocap.capture.timeline import bundle_frames
@@ -237,10 +237,16 @@ def _open(
     """
     if not recording.videos:
         raise recording.error("no [[video]]: expected one or several")
-    videos, warnings = [open_video(source) for source in recording.videos], list(recording.warnings)
-    for video, source in zip(videos, recording.videos, strict=True):
-        warning = check_video_size(video, source.camera, video.name)
-        warnings += [warning] if warning else []
+    if markers:
+        videos, about = open_footage(recording.require_markers())
+        warnings = list(about)
+    else:
+        videos = [open_video(source) for source in recording.videos]
+        sizes = (
+            check_video_size(video, source.camera, video.name)
+            for video, source in zip(videos, recording.videos, strict=True)
+        )
+        warnings = [*recording.warnings, *filter(None, sizes)]
     times, indices = bundle_frames([video.times for video in videos])
     guide = keypoint_guide(recording, videos, times, indices, start, settings)
     if guide is not None:
@@ -253,8 +259,7 @@ def _open(
         warnings.append(f"{problem} are not used")
     positions = None
     if markers:
-        places = recording.require_markers().places
-        sites = marker_sites(recording.skeleton, places)
+        sites = marker_sites(recording.skeleton, recording.places)
         positions = interpolate_markers(recording.times, recording.positions_world, times)
         tree = with_joints(recording.skeleton, settings.body).tree
         positions = np.where(moved_bones(tree)[sites.bones][:, None], positions, np.nan)
