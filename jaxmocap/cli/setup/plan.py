@@ -64,7 +64,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "recording's first camera, or 60",
     )
     parser.add_argument(
-        "--rate", type=positive_number, default=30.0, metavar="HZ", help="frames; default: 30"
+        "--rate",
+        type=positive_number,
+        default=30.0,
+        metavar="HZ",
+        help="frames a second; default: 30",
     )
     parser.add_argument("--out", metavar="PICTURE", help="the room from above (.png, .svg, .pdf)")
 
