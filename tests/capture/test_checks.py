@@ -465,6 +465,14 @@ def test_check_tells_what_it_looked_at(tmp_path, capsys):
     assert figures["findings"] == [] and figures["cameras"][0]["shown_share"] == 1.0
 
 
+def test_check_does_not_find_nothing_wrong_below_a_warning(tmp_path, capsys):
+    path = write_small_recording(tmp_path)
+    path.write_text(path.read_text().partition("[subject]")[0])
+    assert main(["check", str(path)]) == 0
+    printed = capsys.readouterr().out
+    assert "\nwarning  " in printed and "nothing wrong" not in printed
+
+
 @pytest.mark.parametrize(
     ("field", "says"),
     [
