@@ -39,7 +39,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="elbows, wrists, shoulders, hips, knees, ankles, or landmarks; default: elbows",
     )
     parser.add_argument(
-        "--cameras", type=whole, default=2, metavar="N", help="to be placed; default: 2"
+        "--cameras", type=whole, default=2, metavar="N", help="to be placed, up to 4; default: 2"
     )
     parser.add_argument(
         "--room",

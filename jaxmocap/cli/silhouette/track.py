@@ -148,7 +148,7 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
         metavar="ROUNDS",
         type=whole_number,
         default=0,
-        help="then segment and fit again until both settle, so many times at most; "
+        help="segment and fit again in each frame until both settle, so many times at most; "
         "default: %(default)s",
     )
 
