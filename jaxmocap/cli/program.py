@@ -149,7 +149,8 @@ def _add_command(subparsers: Any, command: Command) -> None:
 
 
 def _add_parser(subparsers: Any, name: str, purpose: str, example: str) -> Parser:
-    description = f"{purpose}.".capitalize()
+    # What stands in capitals further on stays so.
+    description = f"{purpose[0].upper()}{purpose[1:]}."
     return subparsers.add_parser(
         name, help=purpose, description=description, epilog=f"example: {example}"
     )

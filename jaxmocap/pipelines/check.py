@@ -79,7 +79,8 @@ class RecordingCheck:
             *(f"warning  {sentence}" for sentence in self.warnings),
             *(f"{'error' if f.fatal else 'warning':7}  {f.sentence}" for f in others),
         ]
-        return "\n".join(lines if self.findings else [*lines, "nothing wrong was found"])
+        is_sound = not (self.findings or self.warnings)
+        return "\n".join([*lines, "nothing wrong was found"] if is_sound else lines)
 
     def _lengths(self) -> str:
         """Which bones' lengths were measured and which follow from the height."""

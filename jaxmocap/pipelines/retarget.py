@@ -207,6 +207,8 @@ def retarget(source: str | Path, onto: str | Path) -> RetargetedMotion:
         InputError: a file cannot be used, or the bodies have other bones.
     """
     before, onto = load_motion(_motion_file(source)), Path(onto)
+    if not onto.exists():
+        raise InputError(onto, "no such file or folder, expected a person's")
     surface = picture = None
     if onto.is_dir():
         skeleton, surface, picture = read_person(onto)

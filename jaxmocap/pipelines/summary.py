@@ -71,7 +71,7 @@ def _figures(report: Report) -> list[tuple[str, str]]:
     without = report.settings.get("deviations_without_m", {})
     rows += [("why", _why(name, without[name])) for name in EXPLAINED if name in without]
     shares = zip(LANDMARKS, report.undetermined_shares, strict=True)
-    unsure = [f"{name} {share:.0%}" for name, share in shares if share >= LEAST_SHARE]
+    unsure = [f"{name} {100 * share:.0f} %" for name, share in shares if share >= LEAST_SHARE]
     if unsure:
         within = f"not determined within {100 * UNDETERMINED_M:.0f} cm"
         rows.append(("unsure", f"{within}: {', '.join(unsure)} of the samples"))

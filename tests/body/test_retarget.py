@@ -124,7 +124,7 @@ def test_the_command_writes_the_other_persons_motion(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("onto", "problem"),
     [
-        ("nobody.toml", "nobody.toml"),
+        ("nobody.toml", "nobody.toml: no such file or folder, expected a person's"),
         ("", "found no subject.toml, expected what 'silhouette model' writes"),
     ],
 )

@@ -125,7 +125,7 @@ def test_what_a_clip_does_not_determine_is_left_out_or_refused():
     with pytest.raises(ValueError, match="no marker has an orientation"):
         estimate_offsets(Markers(TIMES, markers.names, markers.positions), PLACES)
     doubted = device_offsets(seed=1, swing_deg=(35.0, 0.0, 0.0))["Headset"]
-    assert offsets_text([doubted]).endswith("[markers.on]")
+    assert offsets_text([doubted]).endswith("no line for [markers.on]: every device has a warning")
 
 
 def test_the_command_prints_lines_for_the_recording(tmp_path, refusal, capsys):

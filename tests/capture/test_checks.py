@@ -525,6 +525,14 @@ def test_check_says_where_no_marker_is_measured_while_a_camera_films(tmp_path, c
     assert figures["cameras"][0]["shown_share"] is None
 
 
+def test_check_does_not_find_nothing_wrong_below_a_warning(tmp_path, capsys):
+    path = write_small_recording(tmp_path)
+    path.write_text(path.read_text().partition("[subject]")[0])
+    assert main(["check", str(path)]) == 0
+    printed = capsys.readouterr().out
+    assert "\nwarning  " in printed and "nothing wrong" not in printed
+
+
 @pytest.mark.parametrize(
     ("field", "says"),
     [

@@ -161,6 +161,12 @@ def test_every_command_helps_with_an_example(words, example, capsys):
     assert f"example: {example}" in capsys.readouterr().out
 
 
+def test_help_keeps_the_capitals_of_a_purpose(capsys):
+    with pytest.raises(SystemExit):
+        main(["keypoints", "--help"])
+    assert "\nFind 2-D key points" in capsys.readouterr().out
+
+
 # Bad input ---------------------------------------------------------------------------------------
 
 

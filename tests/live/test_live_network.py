@@ -281,6 +281,13 @@ def test_what_changes_all_the_time_is_reported_from_time_to_time_and_as_it_then_
     assert status.messages[-1]["what"] == "markers: waiting"
 
 
+def test_that_nothing_is_missing_is_a_message_only_after_something_was():
+    status = LiveStatus(StringIO())
+    for second, state in enumerate(("none", "none", "Hmd", "none")):
+        status.set_state(float(second), "missing", state)
+    assert [message["what"] for message in status.messages] == ["missing: Hmd", "missing: none"]
+
+
 def test_of_the_warnings_the_first_and_the_newest_are_kept():
     status = LiveStatus(StringIO())
     for i in range(5000):

@@ -302,7 +302,9 @@ def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):
         "a/b.toml", SAMPLES, 0.383333, 4.0, 1.5, 0.3, 0.6, round(1 / SAMPLES / 5, 6), "a/b"
     )
     assert row == expected
-    unseen = row_of(job, tracked, 1.5)
+    smoothed = row_of(job, tracked, 1.5)
+    assert 0 < smoothed.deviation_left_m < 1 and 0 < smoothed.deviation_right_m < 1
+    unseen = row_of(replace(job, settings=replace(MARKERS_ONLY, smooth=False)), tracked, 1.5)
     assert unseen.deviation_left_m is unseen.deviation_right_m is None and unseen.missing == 0
     corpus.write_rows(tmp_path / "corpus.csv", [unseen, row])
     first, second = table(tmp_path)

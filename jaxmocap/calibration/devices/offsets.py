@@ -245,8 +245,9 @@ def offsets_text(offsets: Sequence[DeviceOffset]) -> str:
                 "straight the person stood is not in that)"
             )
         lines += [f"  warning: {warning}" for warning in offset.warnings]
-    lines += ["", "[markers.on]", *(toml_line(offset) for offset in offsets if not offset.warnings)]
-    return "\n".join(lines)
+    entries = [toml_line(offset) for offset in offsets if not offset.warnings]
+    nothing = "no line for [markers.on]: every device has a warning"
+    return "\n".join([*lines, "", *(["[markers.on]", *entries] if entries else [nothing])])
 
 
 def toml_line(offset: DeviceOffset) -> str:

@@ -23,14 +23,21 @@ def add_board(parser: argparse.ArgumentParser, required: bool) -> None:
         metavar="COLUMNSxROWS",
         type=inner_corners,
         required=required,
-        help="inner corners",
+        help="inner corners, such as 4x7",
     )
-    add("--square", metavar="M", type=positive_number, required=required, help="its side, metres")
+    add(
+        "--square",
+        metavar="M",
+        type=positive_number,
+        required=required,
+        help="side of a square, metres",
+    )
     add(
         "--charuco",
         metavar="DICT,M",
         type=charuco_markers,
-        help="a ChArUco board: its dictionary and the side of a marker, such as 5X5_100,0.045",
+        help="a ChArUco board: its dictionary and the side of a marker, metres, such as "
+        "5X5_100,0.045",
     )
     add("--camera", metavar="NAME", required=True, help="its section in the file")
     add("--out", metavar="CALIBRATION.toml", required=True, help="only that section is changed")

@@ -18,8 +18,8 @@ format cannot hold is left out, with a warning. .bvh and .glb are Y up, facing Z
 T with the arms out to the sides; joints made of them are Z up. Markers keep their file's axes. With
 --up y markers and joints that are Z up are written Y up.
 
-Calibrations of Qualisys, Vicon, Motive, OpenCap, EasyMocap, Caliscope, FreeMoCap and anipose become
-.toml: metres, Z up (jaxmocap help calibrate)."""
+Calibrations of Qualisys, Vicon, Motive, OpenCap, EasyMocap, Caliscope, FreeMoCap, anipose and
+OpenCV become .toml: metres, Z up (jaxmocap help calibrate)."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -30,7 +30,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         type=finite_number,
         default=0.0,
-        help="add to the reference's times",
+        help="seconds to add to the reference's times; default: 0",
     )
     parser.add_argument(
         "--out",

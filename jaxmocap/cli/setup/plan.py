@@ -39,7 +39,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="elbows, wrists, shoulders, hips, knees, ankles, or landmarks; default: elbows",
     )
     parser.add_argument(
-        "--cameras", type=whole, default=2, metavar="N", help="to be placed; default: 2"
+        "--cameras", type=whole, default=2, metavar="N", help="to be placed, up to 4; default: 2"
     )
     parser.add_argument(
         "--room",
@@ -64,7 +64,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "recording's first camera, or 60",
     )
     parser.add_argument(
-        "--rate", type=positive_number, default=30.0, metavar="HZ", help="frames; default: 30"
+        "--rate",
+        type=positive_number,
+        default=30.0,
+        metavar="HZ",
+        help="frames a second; default: 30",
     )
     parser.add_argument("--out", metavar="PICTURE", help="the room from above (.png, .svg, .pdf)")
 

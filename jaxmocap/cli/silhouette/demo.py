@@ -20,8 +20,18 @@ DEFAULT_EXERCISE = "arm_raises"
 def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--out", metavar="DIR", default="jaxmocap-silhouettes", help="default: %(default)s")
-    add("--seconds", type=positive_number, default=2.0, help="default: %(default)s")
-    add("--seed", type=whole_number, default=0, help="of the rooms, the movement and noise")
+    add(
+        "--seconds",
+        type=positive_number,
+        default=2.0,
+        help="of the recording, up to 3600; default: %(default)s",
+    )
+    add(
+        "--seed",
+        type=whole_number,
+        default=0,
+        help="of the rooms, the movement and noise; default: 0",
+    )
     add(
         "--person",
         metavar="PERSON.npz",

@@ -35,7 +35,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=numbers(3, "X,Y,FACING"),
         help="where the person stands upright at first, metres, and faces, degrees from x towards "
         "y, in the calibration's world; a foot or a mark on the floor tells ('jaxmocap help "
-        "silhouettes'); default: from the recording's markers",
+        "silhouettes'); default: by the recording's markers, or else its key points",
     )
     passes = parser.add_mutually_exclusive_group()
     passes.add_argument(
@@ -148,7 +148,7 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
         metavar="ROUNDS",
         type=whole_number,
         default=0,
-        help="then segment and fit again until both settle, so many times at most; "
+        help="segment and fit again in each frame until both settle, so many times at most; "
         "default: %(default)s",
     )
 

@@ -14,8 +14,18 @@ EXAMPLE = "jaxmocap demo --out jaxmocap-demo"
 def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--out", metavar="DIR", default="jaxmocap-demo", help="default: %(default)s")
-    add("--seconds", type=positive_number, default=6.0, help="default: %(default)s")
-    add("--seed", type=whole_number, default=0, help="of person, room, strokes and noise")
+    add(
+        "--seconds",
+        type=positive_number,
+        default=6.0,
+        help="of the recording, up to 3600; default: %(default)s",
+    )
+    add(
+        "--seed",
+        type=whole_number,
+        default=0,
+        help="of person, room, strokes and noise; default: 0",
+    )
 
 
 def run(options: argparse.Namespace) -> None:

@@ -38,7 +38,7 @@ class CorpusRow:
     # Tracking by the video's frames (samples without video), milliseconds.
     ms_per_frame: float | None
     took_s: float  # from reading its file to the last output
-    # Median standard deviation of the left elbow, metres; None without video.
+    # Median standard deviation of the left elbow, metres; None frame by frame without video.
     deviation_left_m: float | None
     deviation_right_m: float | None  # of the right elbow
     missing: float  # share of the markers' positions

@@ -39,6 +39,8 @@ LATENCIES_SHOWN = 300
 TERMINAL_INTERVAL_S = 0.25
 # The same where the output is no terminal.
 LOG_INTERVAL_S = 5.0
+# The state of a subject of which there is nothing to say, as at first.
+NOTHING = "none"
 # A stream that received nothing for so many seconds is silent; no pose is sent then.
 SILENT_S = 0.3
 # A camera without a frame for so many seconds is quiet.
@@ -78,12 +80,12 @@ class LiveStatus:
         return [*self._first, *self._newest]
 
     def set_state(self, now: float, subject: str, state: str) -> None:
-        """Log the state of a subject when it has changed; "" is not printed.
+        """Log the state of a subject when it has changed; "" is not printed, nor a first "none".
 
         A state that changes more often than ``STATE_CHANGES_HZ`` is logged later, as it is then.
         Memory grows with the number of subjects.
         """
-        if state == self._states.get(subject):
+        if state == self._states.get(subject, NOTHING):
             return
         share = self._state_rates.setdefault(
             subject, TokenBucket(STATE_CHANGES_HZ, STATE_CHANGES_AT_ONCE, now)
@@ -196,7 +198,7 @@ def stream_states(
 ) -> Iterator[tuple[str, str]]:
     """The state of every stream at a time, seconds."""
     yield "markers", _markers_state(markers)
-    yield "missing", comma_list(gathering.missing(now)) or "none"
+    yield "missing", comma_list(gathering.missing(now)) or NOTHING
     frozen = comma_list(gathering.frozen())
     yield "frozen", frozen and f"{frozen}; repeats the last place, which is not used"
     yield from _orientation_states(gathering, places)
@@ -233,7 +235,7 @@ def _orientation_states(
         yield "orientations not used", f"{comma_list(unused)}; {how}"
     absent = [p.name for p in places if p.needs_orientation and p.name in placed - oriented]
     if any(place.needs_orientation for place in places):
-        yield "orientations missing", comma_list(absent) or "none"
+        yield "orientations missing", comma_list(absent) or NOTHING
 
 
 def _markers_state(markers: MarkerSource) -> str:
