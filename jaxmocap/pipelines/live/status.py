@@ -200,7 +200,8 @@ def stream_states(
     yield "markers", _markers_state(markers)
     yield "missing", comma_list(gathering.missing(now)) or NOTHING
     frozen = comma_list(gathering.frozen())
-    yield "frozen", frozen and f"{frozen}; repeats the last place, which is not used"
+    frozen = frozen and f"{frozen}; repeats the last place, which is not used"
+    yield "frozen", frozen or NOTHING
     yield from _orientation_states(gathering, places)
     if (rate := markers.senders.clock_rate) is not None:
         how = f"runs {rate:.2g} times as fast as this machine's"
