@@ -272,16 +272,13 @@ def report(groups: dict[str, list[Result]], causal: bool) -> str:
     """All tables."""
     errors, calm, parts = list(ERROR_HEADINGS), list(CALM_HEADINGS), []
     for group, results in groups.items():
-        errors += [*map(error_row, results)]
-        errors += [mean_row(group, results), worst_row(group, results)]
+        errors += [*map(error_row, results), mean_row(group, results), worst_row(group, results)]
         calm += map(calm_row, results)
-        parts += [align_columns(rows)] if (rows := sure_rows(group, results)) else []
+        parts += [rows] if (rows := sure_rows(group, results)) else []
     verdicts = [["criterion", "measured", "wanted", "", ""]]
     verdicts += [criterion.row() for criterion in criteria(groups, causal)]
-    first = "elbows: distance from the truth, cm; off markers: head and hands, cm\n"
-    return "\n\n".join(
-        [first + align_columns(errors), align_columns(calm), *parts, align_columns(verdicts)]
-    )
+    tables = "\n\n".join(map(align_columns, [errors, calm, *parts, verdicts]))
+    return f"elbows: distance from the truth, cm; off markers: head and hands, cm\n{tables}"
 
 
 def chosen_clips(options: argparse.Namespace, keep: Path) -> dict[str, list[Clip]]:
