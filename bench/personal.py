@@ -40,8 +40,8 @@ from bench.figures import Metric, write_json
 from bench.silhouette import KINDS, Result, evaluated, true_start
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
-from jaxmocap.body.subject import scale_to_landmarks
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.subject import rest_joints, scale_to_landmarks
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.morphing import Morphing, shoulders
 from jaxmocap.body.surfaces.surface import Surface, pose_points, rest_nodes
 from jaxmocap.evaluation.tables import align_columns
