@@ -23,8 +23,9 @@ import numpy as np
 from bench import command, kept, numbers, seeds
 from bench.clips import Clip, real, synthetic
 from bench.evaluation import Result, Sureness, evaluate_clip
-from bench.figures import Metric, aligned, write_json
+from bench.figures import Metric, write_json
 from jaxmocap.evaluation.errors import Errors, IntervalCoverage, interval_coverage
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.formats.settings_file import read_settings
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -271,14 +272,13 @@ def report(groups: dict[str, list[Result]], causal: bool) -> str:
     """All tables."""
     errors, calm, parts = list(ERROR_HEADINGS), list(CALM_HEADINGS), []
     for group, results in groups.items():
-        errors += [*map(error_row, results)]
-        errors += [mean_row(group, results), worst_row(group, results)]
+        errors += [*map(error_row, results), mean_row(group, results), worst_row(group, results)]
         calm += map(calm_row, results)
-        parts += [aligned(rows)] if (rows := sure_rows(group, results)) else []
+        parts += [rows] if (rows := sure_rows(group, results)) else []
     verdicts = [["criterion", "measured", "wanted", "", ""]]
     verdicts += [criterion.row() for criterion in criteria(groups, causal)]
-    first = "elbows: distance from the truth, cm; off markers: head and hands, cm\n"
-    return "\n\n".join([first + aligned(errors), aligned(calm), *parts, aligned(verdicts)])
+    tables = "\n\n".join(map(align_columns, [errors, calm, *parts, verdicts]))
+    return f"elbows: distance from the truth, cm; off markers: head and hands, cm\n{tables}"
 
 
 def chosen_clips(options: argparse.Namespace, keep: Path) -> dict[str, list[Clip]]:

@@ -20,7 +20,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bench import command
-from bench.figures import Metric, aligned, write_json
+from bench.figures import Metric, write_json
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.fourier import fourier_series, phase_vectors
 from jaxmocap.silhouette import ContourPoseSettings, RigidSurface, solve_contour_pose
@@ -240,12 +241,12 @@ def measured(title: str, rows: Iterator[Row], ways: dict[str, ContourPoseSetting
         cells.append(
             [name, *(f"{s:.0f}" for s in shares), f"{near[0]:.2f} deg {1e3 * near[1]:.1f} mm"]
         )
-        print(aligned(cells[-1:]), file=sys.stderr, flush=True)
+        print(align_columns(cells[-1:]), file=sys.stderr, flush=True)
         metrics += [
             Metric(f"contour pose {name}, {way}", share, "%", direction="higher")
             for way, share in zip(ways, shares, strict=True)
         ]
-    print(aligned(cells), end="\n\n", flush=True)
+    print(align_columns(cells), end="\n\n", flush=True)
     return metrics
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from bench import add_rendered, command, kept
 from bench.clips import AZIMUTHS, REAL_LANDMARKS, Clip, exercises, real, synthetic
-from bench.figures import Metric, aligned, write_json
+from bench.figures import Metric, write_json
 from bench.silhouette import REAL, true_start
 from jaxmocap.body.motion import UNDETERMINED_M, Motion
 from jaxmocap.body.pose import Pose
@@ -27,6 +27,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.evaluation.errors import Errors, evaluate, interval_coverage
 from jaxmocap.evaluation.reliability import plot_reliability, risk_curve, stated_and_found
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -149,7 +150,7 @@ def main() -> None:
             Metric(f"{case}: {kind}", float(share), "%", "higher", 0.05)
             for kind, share in zip((*KINDS, "all"), shares, strict=True)
         ]
-    print(aligned(rows), aligned(risks), sep="\n\n")
+    print(align_columns(rows), align_columns(risks), sep="\n\n")
     write_json(metrics, options.json)
     if options.plot:
         groups: dict[str, list[Errors]] = {}

@@ -26,7 +26,7 @@ import numpy as np
 
 from bench import command, kept, seeds
 from bench.clips import AZIMUTHS, Clip, real, synthetic
-from bench.figures import Metric, aligned, write_json
+from bench.figures import Metric, write_json
 from jaxmocap.body.model import Model, marker_sites
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.footage import forward_readers, open_footage
@@ -35,6 +35,7 @@ from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evaluation.errors import evaluate
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.evidence.appearance.learned import ROWS, Drawing, learn_appearance
 from jaxmocap.evidence.edges import EdgeEvidence
 from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
@@ -291,7 +292,7 @@ def table(distances: dict[str, dict[str, np.ndarray]]) -> str:
         each = [centimetres(kinds[kind]) for kinds in distances.values() if kind in kinds]
         cells = [*np.mean(each, 0), *(values[0] for values in each)]
         rows.append([kind, *(f"{value:.1f}" for value in cells)])
-    return aligned(rows)
+    return align_columns(rows)
 
 
 def chosen_clips(options: argparse.Namespace, keep: Path) -> list[Clip]:

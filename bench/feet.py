@@ -14,10 +14,11 @@ import numpy as np
 
 from bench import add_rendered, command, kept
 from bench.clips import Clip, exercises
-from bench.figures import Metric, aligned, write_json
+from bench.figures import Metric, write_json
 from bench.silhouette import prepared
 from jaxmocap.body.surfaces.surface import bones_over_time, nodes_over_time
 from jaxmocap.evaluation.series import match
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.silhouettes.track import track_silhouettes
@@ -89,7 +90,7 @@ def main() -> None:
                 Metric(f"feet, {clip.name}, {name}", abs(value), unit)
                 for (name, unit), value in zip(FIGURES.items(), figures, strict=True)
             ]
-    print(aligned([["", *(f"{name}, {unit}" for name, unit in FIGURES.items())], *cells]))
+    print(align_columns([["", *(f"{name}, {unit}" for name, unit in FIGURES.items())], *cells]))
     write_json(metrics, options.json)
 
 

@@ -31,6 +31,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bench import command
+from jaxmocap.evaluation.tables import align_columns
 
 MEDIAN, LATE = ", median", ", 99 %"
 # A ratio to another program's time changes with that program's version and with the machine: on
@@ -98,16 +99,7 @@ def table(metrics: Iterable[Metric], baseline: Iterable[Metric] = ()) -> str:
         cells = [metric, late.get(name), committed.get(metric.name)]
         value, p99, before = (f"{cell.value:.3g}" if cell else "" for cell in cells)
         rows.append([name, value, p99, metric.unit, before])
-    return aligned(rows)
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Rows as a table: first column to the left, the others to the right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = (
-        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in rows
-    )
-    return "\n".join(line.rstrip() for line in lines)
+    return align_columns(rows)
 
 
 def slug(name: str) -> str:
@@ -225,7 +217,7 @@ def spread(runs: Sequence[Iterable[Metric]]) -> str:
         off = max(worsening(replace(middle, value=value), middle) for value in values)
         figures = [f"{v:.3g}" for v in (middle.value, min(values), max(values))]
         rows.append([middle.name, *figures, f"{100 * off:.0f}", f"{100 * middle.tolerance:.0f}"])
-    return aligned(rows)
+    return align_columns(rows)
 
 
 def write_baseline(mode: Mode, metrics: Iterable[Metric], path: Path = BASELINE) -> None:

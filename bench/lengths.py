@@ -20,10 +20,11 @@ import numpy as np
 
 from bench import command, kept, seeds
 from bench.clips import ELBOWS
-from bench.figures import Metric, aligned, write_json
+from bench.figures import Metric, write_json
 from jaxmocap.body.proportions import LENGTHS, scale_skeleton
 from jaxmocap.body.skeleton import WINTER, Skeleton
 from jaxmocap.evaluation.errors import evaluate
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -221,7 +222,7 @@ def text(people: dict[int, LengthErrors]) -> str:
                    ("stated", "errors", "deviations", "shares")]  # fmt: skip
         shown = [f"{100 * rms(column):.1f} %" for column in columns[:3]]
         each.append([proportion.name, *shown, f"{100 * columns[3].mean():.0f} %"])
-    return f"{aligned(lines)}\n\n{aligned(each)}"
+    return f"{align_columns(lines)}\n\n{align_columns(each)}"
 
 
 def rms(values: np.ndarray) -> float:

@@ -15,12 +15,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull, KDTree
+from scipy.spatial import KDTree
 
 from bench import command, kept, seeds
-from bench.figures import Metric, aligned, write_json
+from bench.figures import Metric, write_json
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, ModelResult, model_from
 from jaxmocap.silhouette.modelling.arm_surface import INNER_RINGS, SLICES
+from jaxmocap.silhouette.modelling.measurements import GirthSection, girth_section
 from jaxmocap.silhouette.modelling.readings import READINGS
 from jaxmocap.synthetic.people.figure import unit
 from jaxmocap.synthetic.people.rigged_mesh import Rig, RiggedMesh, load_rig
@@ -36,20 +38,6 @@ TRUNK_AT = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
 ARMS_AT = {"humerus": (0.375, 0.5, 0.625, 0.75), "radius": (0.125, 0.25, 0.5, 0.75)}
 # Points along each side of a quadrilateral of the mesh, between which distances are measured.
 DENSE = 4
-
-
-class TapeMeasure(NamedTuple):
-    """Where a plane cuts a part of the body: metres.
-
-    Attributes:
-        width: across (to the person's left; of an arm, along the hinge of its elbow).
-        depth: to the front (of an arm, in the plane in which it bends).
-        girth: of a tape around it, which no hollow lets in.
-    """
-
-    width: float
-    depth: float
-    girth: float
 
 
 @dataclass(frozen=True)
@@ -79,12 +67,12 @@ class MeasuredPerson:
         """Landmark name -> (3,)."""
         return {name: at[0] for name, at in self.person.landmarks(np.zeros(1)).items()}
 
-    def trunk(self, height: float) -> TapeMeasure:
+    def trunk(self, height: float) -> GirthSection:
         """The level section of trunk, neck or head at a height."""
         cut = self._cut(TRUNK, np.array([0.0, 0.0, height]), np.array([0.0, 0.0, 1.0]))
-        return tape_measure(cut[:, [1, 0]])
+        return girth_section(cut[:, [1, 0]])
 
-    def arm(self, bone: str, side: str, at: float) -> TapeMeasure:
+    def arm(self, bone: str, side: str, at: float) -> GirthSection:
         """The section square to ``humerus`` or ``radius`` of side l or r, at a share of it."""
         near, far = (self._joint(_SIDES[side] + name) for name in _BONES[bone])
         names = self.person.body.names
@@ -97,7 +85,7 @@ class MeasuredPerson:
         hinge = unit(hinge - along * (along @ hinge))
         carriers = tuple(_SIDES[side] + name for name in ("Arm", "ForeArm", "Hand"))
         cut = self._cut(carriers, near + at * (far - near), along)
-        return tape_measure(np.stack([cut @ hinge, cut @ np.cross(along, hinge)], 1))
+        return girth_section(np.stack([cut @ hinge, cut @ np.cross(along, hinge)], 1))
 
     def _joint(self, name: str) -> np.ndarray:
         return self.joints[self.person.body.names.index(name)]
@@ -113,14 +101,6 @@ class MeasuredPerson:
         crossed = above * below < 0
         share = (above / np.where(crossed, above - below, 1.0))[..., None]
         return (a + share * (b - a))[crossed]
-
-
-def tape_measure(outline: np.ndarray) -> TapeMeasure:
-    """Of points (N, 2) across and ahead."""
-    hull = outline[ConvexHull(outline).vertices]
-    girth = np.linalg.norm(np.roll(hull, -1, 0) - hull, axis=1).sum()
-    width, depth = np.ptp(outline, axis=0)
-    return TapeMeasure(float(width), float(depth), float(girth))
 
 
 class Errors(NamedTuple):
@@ -190,12 +170,12 @@ def sections(made: ModelResult, body: MeasuredPerson) -> tuple[np.ndarray, np.nd
     for share in TRUNK_AT:
         height = levels[0] + share * (trunk.pits[:, 2].mean() - levels[0])
         k = int(np.argmin(np.abs(levels - height)))
-        pairs.append((tape_measure(trunk.rings[k][:, [1, 0]]), body.trunk(levels[k])))
+        pairs.append((girth_section(trunk.rings[k][:, [1, 0]]), body.trunk(levels[k])))
     for arm, side in zip(made.model.arms, "lr", strict=True):
         for first, (bone, shares) in zip((0, SLICES[0]), ARMS_AT.items(), strict=True):
             for share in shares:
                 outline = arm[INNER_RINGS + first + round(share * SLICES[0])][:, [2, 0]]
-                pairs.append((tape_measure(outline), body.arm(bone, side, share)))
+                pairs.append((girth_section(outline), body.arm(bone, side, share)))
     measured, truth = np.array(pairs).swapaxes(0, 1)
     return np.abs(measured - truth)[:, :2].ravel(), np.abs(measured / truth - 1)[:, 2]
 
@@ -227,7 +207,7 @@ def text(rows: dict[str, Errors]) -> str:
     for name, row in rows.items():
         errors = [f"{100 * e.mean():.1f} ({100 * e.max():.1f})" for e in row[:-1]]
         cells.append([name, *errors, f"{row.seconds.mean():.1f}"])
-    return aligned(cells)
+    return align_columns(cells)
 
 
 def together(rows: Sequence[Errors]) -> Errors:

@@ -38,7 +38,7 @@ from bench.clips import AZIMUTHS, Clip, real, synthetic
 from bench.clock import interleaved
 from bench.contour_pose import camera_at, surface_trial, trial
 from bench.evaluation import calm_of
-from bench.figures import Metric, aligned, stage_metrics, write_json
+from bench.figures import Metric, stage_metrics, write_json
 from jaxmocap.body.kinematics import forward, landmarks
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import relaxed_pose, retract
@@ -47,6 +47,7 @@ from jaxmocap.body.surfaces.surface import BodyPoints, pose_points
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import open_video
 from jaxmocap.evaluation.errors import evaluate
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.geometry.cameras import project
@@ -135,7 +136,7 @@ def loop(players: list[int], seconds: float, folder: Path) -> Iterator[Metric]:
             yield Metric(f"{name}, right elbow", float(right), "cm")
             yield Metric(f"{name}, left elbow", float(left), "cm")
             yield from stage_metrics(f"{name}, step", spent)
-    print(aligned(cells))
+    print(align_columns(cells))
 
 
 def balance() -> Callable[[], Any]:
@@ -183,7 +184,7 @@ def stated_times(rounds: int) -> Iterator[Metric]:
         figures = (f"{value:.2f}" for value in (wall, busy, late))
         cells.append([name, paper.get(name, ""), *figures])
         yield from stage_metrics(f"paper's times, {name}", spans[:, 0])
-    print(aligned(cells))
+    print(align_columns(cells))
 
 
 def filtered(motion: Motion, clip: Clip, cutoff: float) -> tuple[float, float, float]:
@@ -211,7 +212,7 @@ def low_pass(groups: dict[str, list[Clip]]) -> Iterator[Metric]:
                 for (name, unit), v in zip(FIGURES.items(), row, strict=True):
                     title = f"low-pass, {group}, {way}, {hertz} Hz, {name}"
                     yield Metric(title, float(v), unit)
-    print(aligned(cells))
+    print(align_columns(cells))
 
 
 def main() -> None:

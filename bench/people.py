@@ -18,12 +18,13 @@ from unittest.mock import patch
 import numpy as np
 
 from bench import command
-from bench.figures import Metric, aligned, write_json
+from bench.figures import Metric, write_json
 from bench.walkers import MOVEMENTS, as_toml, learned, walks
 from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.evaluation.errors import evaluate, interval_coverage
 from jaxmocap.evaluation.series import second_difference
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -121,7 +122,7 @@ def main() -> None:
                 Metric(f"{markers}, {body}: {name}", float(figure), name.split(", ")[-1])
                 for name, figure in zip(FIGURES, mean, strict=True)
             ]
-    print(aligned(rows))
+    print(align_columns(rows))
     write_json(metrics, options.json)
 
 

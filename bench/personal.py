@@ -36,14 +36,15 @@ from scipy.spatial import KDTree
 
 from bench import add_rendered, command, kept
 from bench.clips import Clip, exercises
-from bench.figures import Metric, aligned, write_json
+from bench.figures import Metric, write_json
 from bench.silhouette import KINDS, Result, evaluated, true_start
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
-from jaxmocap.body.subject import scale_to_landmarks
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.subject import rest_joints, scale_to_landmarks
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.morphing import Morphing, shoulders
 from jaxmocap.body.surfaces.surface import Surface, pose_points, rest_nodes
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -140,7 +141,7 @@ def text(results: Results, figures: Figures) -> str:
     for name, row in zip([*results, "mean"], [*each, mean], strict=True):
         cells.append([name, *(f"{value:.2f}" for value in row.ravel())])
     changes = 100 * (mean / mean[:, :1] - 1)
-    return aligned([*cells, ["change", *(f"{value:+.0f} %" for value in changes.ravel())]])
+    return align_columns([*cells, ["change", *(f"{value:+.0f} %" for value in changes.ravel())]])
 
 
 def metrics(name: str, results: Results, figures: Figures) -> Iterator[Metric]:
@@ -233,7 +234,7 @@ def of_skin(options: argparse.Namespace, file: Path, people: Sequence[str]) -> I
     off = {who: skin_errors(file, who, options.seeds[0]) for who in people}
     off["mean"] = tuple(np.mean(list(off.values()), 0))
     cells = [[who, *(f"{1000 * value:.1f}" for value in pair)] for who, pair in off.items()]
-    print(aligned([["trunk's skin, mm off", "off", "on"], *cells]))
+    print(align_columns([["trunk's skin, mm off", "off", "on"], *cells]))
     for state, value in zip(("off", "on"), off["mean"], strict=True):
         yield Metric(f"raised skin {state}", 1000 * value, "mm")
 

@@ -21,12 +21,12 @@ import numpy as np
 from jax import Array
 
 from bench import command
-from bench.figures import aligned
 from jaxmocap.body.arms import arms_of
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.markers import interpolate_markers
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
@@ -256,7 +256,7 @@ def compare(tracker: HybridTracker, given: list[Frame], budget: float) -> str:
             [name, *full.cells, counted, rested, f"{full.milliseconds:.2f}",
              *short.cells, f"{short.steps}", f"{short.milliseconds:.2f}"]
         )  # fmt: skip
-    return aligned(rows)
+    return align_columns(rows)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -18,12 +18,13 @@ from typing import NamedTuple
 import numpy as np
 
 from bench import command
-from bench.figures import Metric, aligned, write_json
+from bench.figures import Metric, write_json
 from bench.silhouette import true_start
 from bench.silhouette_faults import FAULTS, Faulty, Span, Truth, in_memory
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.cli.recording_options import select_cameras
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -112,7 +113,7 @@ def measured(folder: Path, faults: Sequence[str], settings: Settings) -> list[Ou
         result.append(
             evaluated(f"{folder.name}, {name}", motion, errors(motion, truth), usual, faulty)
         )
-        print(aligned([result[-1].row()]), flush=True)
+        print(align_columns([result[-1].row()]), flush=True)
     return result
 
 
@@ -210,7 +211,7 @@ def main(arguments: Sequence[str] | None = None, settings: Settings | None = Non
     faults, outcomes = options.only or list(FAULTS), []
     for folder in options.folders:
         outcomes += measured(folder, faults, settings or Settings())
-    print(aligned([*HEADINGS, *(outcome.row() for outcome in outcomes)]))
+    print(align_columns([*HEADINGS, *(outcome.row() for outcome in outcomes)]))
     write_json([metric for outcome in outcomes for metric in outcome.metrics()], options.json)
 
 

@@ -20,9 +20,10 @@ import numpy as np
 
 from bench import add_rendered, command, kept
 from bench.clips import Clip, displaced, exercises
-from bench.figures import Metric, aligned, write_json
+from bench.figures import Metric, write_json
 from jaxmocap.capture.footage import forward_readers
 from jaxmocap.capture.video import open_video
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.canvases import full_mask, mask_canvas
@@ -287,7 +288,7 @@ def text(rows: dict[str, list[Scored]]) -> str:
         cells = [f"{value:.3f}" for value in figures]
         cells += [f"{np.median(finite):.2f} px", f"{finite.mean():.2f} px"]
         lines.append([name, *cells, f"{np.median(spent):.0f} ms" if name != START else ""])
-    return aligned(lines)
+    return align_columns(lines)
 
 
 def metrics(rows: dict[str, list[Scored]]) -> Iterator[Metric]:

@@ -24,7 +24,7 @@ from bench import add_rendered, command, kept
 from bench.clips import REAL_LANDMARKS, Clip, exercises
 from bench.clock import STAGES, WHOLE_FRAME, stages_timed
 from bench.evaluation import AccelerationAndLag, compare_tracks
-from bench.figures import Metric, aligned, stage_metrics, table, write_json
+from bench.figures import Metric, stage_metrics, table, write_json
 from bench.silhouette_faults import in_memory
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, WINTER, Skeleton, with_joints
@@ -33,6 +33,7 @@ from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.cli.silhouette.track import add_settings, settings_of
 from jaxmocap.evaluation.errors import Errors, position_errors
 from jaxmocap.evaluation.series import match
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -306,7 +307,7 @@ def main() -> None:
     parts = [exercise_rows(most)] if rendered else []
     parts += [camera_rows(rendered)] if len(options.cameras) > 1 and rendered else []
     parts += [real_rows(result) for result in results if result.name == REAL]
-    print("\n\n".join([*map(aligned, parts), table(timed)]))
+    print("\n\n".join([*map(align_columns, parts), table(timed)]))
     write_json([*(m for result in results for m in metrics(result)), *timed], options.json)
 
 

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from bench import command, kept
-from bench.figures import Metric, aligned, write_json
+from bench.figures import Metric, write_json
 from jaxmocap.evaluation.errors import evaluate
+from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.recordings.recording import Recording, write_recording
 from jaxmocap.formats.time_series.csv import write_csv
@@ -120,7 +121,7 @@ def main() -> None:
                 rows.append([who, name, *(f"{error:.1f}" for error in every[-1])])
     mean = np.mean(every, 0)
     rows.append([f"mean of {len(every)}", "", *(f"{error:.1f}" for error in mean)])
-    print(aligned(rows))
+    print(align_columns(rows))
     metrics = [Metric(joint, error, "cm") for joint, error in zip(JOINTS, mean, strict=True)]
     write_json(metrics, options.json)
 

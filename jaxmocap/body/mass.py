@@ -19,7 +19,6 @@ class AugmentedBodies(NamedTuple):
     """What each degree of freedom carries (section 4.4)."""
 
     masses: Array  # (D,) m_i, kilograms
-    centres_world: Array  # (D, 3) centres of gravity, metres
     arms: Array  # (D,) h_i, horizontal distance from the joint to the centre of gravity, metres
 
 
@@ -36,7 +35,7 @@ def centre_of_gravity(skeleton: Skeleton, frames: Frames) -> Array:
 
 
 def augmented_bodies(skeleton: Skeleton, frames: Frames, proximal: bool = False) -> AugmentedBodies:
-    """Mass, centre of gravity and lever arm of each degree of freedom's augmented body.
+    """Mass and lever arm of each degree of freedom's augmented body.
 
     Args:
         skeleton: D degrees of freedom.
@@ -59,7 +58,7 @@ def augmented_bodies(skeleton: Skeleton, frames: Frames, proximal: bool = False)
     squared = jnp.sum((centres - joints)[:, :2] ** 2, -1)
     on_axis = squared < 1e-12
     arms = jnp.where(on_axis, 0.0, jnp.sqrt(jnp.where(on_axis, 1.0, squared)))
-    return AugmentedBodies(masses, centres, arms)
+    return AugmentedBodies(masses, arms)
 
 
 def base_of_support(points_world: Array) -> tuple[Array, Array]:

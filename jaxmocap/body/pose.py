@@ -60,6 +60,17 @@ def beyond_limits(limits: Array, angles: Array) -> Array:
     return jnp.maximum(low - angles, 0.0) + jnp.maximum(angles - high, 0.0)
 
 
+def room(limits: Array, angles: Array) -> tuple[Array, Array]:
+    """How far degrees of freedom (6 + D,) may go down and up, never beyond 0; the root without end.
+
+    The joints' (D,) angles have (D, 2) limits.
+    """
+    endless = jnp.full(ROOT_DOF, jnp.inf, angles.dtype)
+    low = jnp.minimum(limits[:, 0] - angles, 0.0)
+    high = jnp.maximum(limits[:, 1] - angles, 0.0)
+    return jnp.concatenate([-endless, low]), jnp.concatenate([endless, high])
+
+
 def pack(pose: Pose) -> Array:
     """One vector (..., 7 + D): position, quaternion, angles."""
     return jnp.concatenate(pose, -1)

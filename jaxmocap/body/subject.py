@@ -147,7 +147,7 @@ def _trunk_vectors(landmarks: dict[str, np.ndarray]) -> dict[tuple[str, ...], np
 def skeleton_stature(skeleton: Skeleton) -> float:
     """How tall the skeleton stands, metres, from sole to vertex."""
     vectors = bone_vectors(skeleton)
-    sole, vertex = sole_and_vertex(standing_joints(skeleton, vectors), vectors)
+    sole, vertex = sole_and_vertex(rest_joints(skeleton), vectors)
     return vertex - sole
 
 
@@ -156,8 +156,9 @@ def bone_vectors(skeleton: Skeleton) -> np.ndarray:
     return np.asarray(skeleton.lengths, float)[:, None] * np.asarray(skeleton.directions, float)
 
 
-def standing_joints(skeleton: Skeleton, vectors: np.ndarray) -> np.ndarray:
-    """(B, 3) joints about the pelvis; every bone begins where its parent ends."""
+def rest_joints(skeleton: Skeleton) -> np.ndarray:
+    """Joints (B, 3) of all bones from the pelvis, with all angles 0, metres."""
+    vectors = bone_vectors(skeleton)
     joints = np.zeros_like(vectors)
     for bone, parent in enumerate(skeleton.tree.parents):
         if parent >= 0:

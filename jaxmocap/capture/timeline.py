@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.time_series.tables import usual_step
+from jaxmocap.formats.time_series.tables import nearest_times, usual_step
 
 Mode = Literal["own", "nearest", "causal"]
 # Time stamps in files are rounded to a millisecond at worst: within it, things are simultaneous.
@@ -57,14 +57,6 @@ def _nearest_frames(marker_times: np.ndarray, frame_times: np.ndarray) -> np.nda
         return np.full(len(marker_times), -1)
     nearest, gap = nearest_times(frame_times, marker_times)
     return np.where(gap <= max(usual_step(frame_times), SIMULTANEOUS_S), nearest, -1)
-
-
-def nearest_times(times: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(K,) index of the time (T,) nearest to each of (K,) others, and how far it is, seconds."""
-    after = np.searchsorted(times, at).clip(1, max(len(times) - 1, 1))
-    pair = np.stack([after - 1, after.clip(max=len(times) - 1)], 1)
-    distance = np.abs(times[pair] - at[:, None])
-    return pair[np.arange(len(at)), distance.argmin(1)], distance.min(1)
 
 
 def bundle_frames(video_times: Sequence[np.ndarray], when=np.median) -> tuple:

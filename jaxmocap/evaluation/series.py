@@ -5,7 +5,7 @@ INPUTS: rising time stamps, seconds, and values at them. OUTPUTS: indices; filte
 
 import numpy as np
 
-from jaxmocap.formats.time_series.tables import MILLISECOND_S, usual_step
+from jaxmocap.formats.time_series.tables import MILLISECOND_S, nearest_times, usual_step
 
 # The paper's Fig. 8 shows what of the error changes faster than this.
 HIGH_PASS_HZ = 0.3
@@ -36,21 +36,12 @@ def match(
     if tolerance is None:
         step = min(sample_step(a), sample_step(b))
         tolerance = step / 2 if np.isfinite(step) else MILLISECOND_S
-    nearest_b, nearest_a = _nearest(b, a), _nearest(a, b)
+    (nearest_b, apart), (nearest_a, _) = nearest_times(b, a), nearest_times(a, b)
     mutual = nearest_a[nearest_b] == np.arange(len(a))
     # A microsecond's slack: text files round their time stamps.
-    near = np.abs(b[nearest_b] - a) <= tolerance + 1e-6
+    near = apart <= tolerance + 1e-6
     indices_a = np.flatnonzero(mutual & near)
     return indices_a, nearest_b[indices_a]
-
-
-def _nearest(series: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Indices of the entries of a rising series nearest to the wanted values."""
-    after = np.clip(np.searchsorted(series, wanted), 1, max(len(series) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(series) - 1)
-    closer = np.abs(series[before] - wanted) <= np.abs(series[after] - wanted)
-    return np.where(closer, before, after)
 
 
 def finite_mean(values: np.ndarray) -> float:

@@ -3,6 +3,8 @@
 INPUTS: Errors. OUTPUTS: a table to print.
 """
 
+from collections.abc import Sequence
+
 from jaxmocap.evaluation.errors import Errors
 
 # Key of Errors.as_dict() -> heading, unit, factor from SI, digits.
@@ -45,7 +47,7 @@ def format_table(errors: Errors, before: Errors | None = None) -> str:
             mean, now = old.get(name, {}).get("mean_m"), figures["mean_m"]
             gain = 1 - now / mean if mean and now is not None else None
             row += [_number(mean, 100, 2), _number(gain, 100, 0)]
-    return _align_columns(rows)
+    return align_columns(rows)
 
 
 def _by_row(errors: Errors) -> dict[str, dict]:
@@ -57,7 +59,7 @@ def _number(value: float | None, factor: float, digits: int) -> str:
     return "-" if value is None else f"{factor * value:.{digits}f}"
 
 
-def _align_columns(rows: list[list[str]]) -> str:
+def align_columns(rows: Sequence[Sequence[str]]) -> str:
     """First column to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []

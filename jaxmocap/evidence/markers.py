@@ -23,6 +23,7 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term, points_of
+from jaxmocap.solvers.robust import shorten_residuals
 
 
 def are_present(targets: Array | np.ndarray) -> Array:
@@ -207,7 +208,4 @@ class SearchedElbows(Term):
         if "elbows" not in measured:
             return jnp.zeros(0, body.landmarks.dtype)
         away = (body.landmarks[ELBOWS] - measured["elbows"]) / self.deviation
-        squared = jnp.sum(away**2, -1, keepdims=True) / TAILS
-        near = squared < 1e-4
-        slow = jnp.log1p(squared) / jnp.where(near, 1.0, squared)
-        return away * jnp.sqrt(jnp.where(near, 1 - squared / 2, slow))
+        return shorten_residuals(away, TAILS)

@@ -172,11 +172,6 @@ def _as_thick_anywhere(tree: Tree, bones: np.ndarray) -> np.ndarray:
     return ~np.isin(bones, tree.bones_in(*THICK_BY_DISTANCE))
 
 
-def _away(camera: Camera, points_world: Array) -> Array:
-    """Depth of points, metres, in front of the camera."""
-    return jnp.maximum(depth(camera, points_world), NEAREST_M)
-
-
 def limbs_fit(
     tree: Tree, discs: Discs, visible: Array, grids: SilhouetteGrids, softness: Array
 ) -> CoverageFit:
@@ -335,7 +330,8 @@ def _leverage(
         # Sums of three products: as one loop they are faster than small matrix products.
         centre = sum(cells[:, :, i, None] * J[:, i, None] for i in range(3))
         deeper = sum(ahead[i] * J[:, i, None] for i in range(3))
-        nearer = jnp.where(alike, 0.0, -deeper / _away(camera, points_world)[:, None, None])
+        away = jnp.maximum(depth(camera, points_world), NEAREST_M)
+        nearer = jnp.where(alike, 0.0, -deeper / away[:, None, None])
         return jnp.asarray(centre), radii[:, None, None] * nearer
 
     near, near_radius = of_end(flesh.near, discs.radii[:, 0])

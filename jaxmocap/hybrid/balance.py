@@ -26,6 +26,8 @@ from jaxmocap.hybrid.settings import IKSettings
 LEAN = np.array([3, 4], np.int32)
 # The squat that the factors are computed for, metres, and the depths on the way.
 SQUAT, DEPTHS = 0.3, 6
+# Shares of the farthest bow that are tried.
+TRIALS = 9
 # A foot is lifted that is higher above the other than this, or above the ground than twice this,
 # metres.
 LIFTED = 0.04
@@ -118,7 +120,7 @@ def imbalance(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
     return ahead, jnp.sqrt(jnp.sum(outside**2) + 1e-18)
 
 
-def bow_factors(skeleton: Skeleton, settings: IKSettings, trials: int = 9) -> Array:
+def bow_factors(skeleton: Skeleton, settings: IKSettings) -> Array:
     """Factors p_i (S,), radians per metre, for a squat of ``SQUAT`` metres.
 
     The three bones share the bow in proportion to their ranges.
@@ -141,7 +143,7 @@ def bow_factors(skeleton: Skeleton, settings: IKSettings, trials: int = 9) -> Ar
 
         return imbalance(skeleton, jax.lax.fori_loop(0, DEPTHS + 1, stage, standing))[0]
 
-    shares = jnp.linspace(0.0, 1.0, trials, dtype=most.dtype)
+    shares = jnp.linspace(0.0, 1.0, TRIALS, dtype=most.dtype)
     leads = jax.lax.map(ahead, shares)
     # The more it bows, the less it leads: between two trials it stands over the middle.
     best = jnp.interp(jnp.zeros((), most.dtype), -leads, shares)

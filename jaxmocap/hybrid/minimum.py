@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, retract
+from jaxmocap.body.pose import Pose, retract, room
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.expansion import expand_terms, residuals_and_pull
 from jaxmocap.evidence.terms import Measurements, Term, residuals
@@ -27,7 +27,6 @@ from jaxmocap.solvers.descent import (
     rests,
     tree_where,
 )
-from jaxmocap.solvers.limits import room
 from jaxmocap.solvers.optimum import following, least_squares_step
 from jaxmocap.solvers.status import Status
 
@@ -55,7 +54,6 @@ def pose_at_minimum(
     start: Pose,
     other: Another | None = None,
     free: Array | None = None,
-    steps: int = STEPS,
     is_near: Array | bool = False,
     bends: bool = True,
 ) -> tuple[Pose, Array]:
@@ -72,16 +70,14 @@ def pose_at_minimum(
         start: to descend from.
         other: another start.
         free: (6 + D,) degrees of freedom that may move; all without it.
-        steps: of the descent, at most.
         is_near: whether the minimum lies about the start.
         bends: whether the descent looks at second derivatives, which take long to compile for terms
             without formulas.
     """
     evidence = _Evidence(model, tuple(terms), measured, free)
     held = jax.lax.stop_gradient((evidence, start, other))
-    pose, status = jax.lax.stop_gradient(
-        _lowest(_PROBLEM if bends else _LINEAR, *held, steps, is_near)
-    )
+    problem = _PROBLEM if bends else _LINEAR
+    pose, status = jax.lax.stop_gradient(_lowest(problem, *held, is_near))
     return following(_move_minimum, evidence, pose), status
 
 
@@ -109,8 +105,6 @@ def _local(evidence: _Evidence, pose: Pose) -> Local:
 def _room(evidence: _Evidence, pose: Pose) -> tuple[Array, Array]:
     """How far (6 + D,) each degree of freedom may go down and up."""
     low, high = room(evidence.model.skeleton.limits, pose.angles)
-    endless = jnp.full(ROOT_DOF, jnp.inf, low.dtype)
-    low, high = jnp.concatenate([-endless, low]), jnp.concatenate([endless, high])
     free = True if evidence.free is None else evidence.free
     return jnp.where(free, low, 0.0), jnp.where(free, high, 0.0)
 
@@ -130,7 +124,6 @@ def _lowest(
     evidence: _Evidence,
     start: Pose,
     other: Another | None,
-    steps: int,
     is_near: Array | bool,
 ) -> tuple[Pose, Array]:
     """The end of the descents, nothing differentiated."""
@@ -142,7 +135,7 @@ def _lowest(
         return descend(problem, evidence, within, steps, damping)
 
     if other is None:
-        end = descended(start, steps)
+        end = descended(start, STEPS)
         return end.x, _status(end)
 
     def unsatisfied(carry: tuple[Array, Descent]) -> Array:
@@ -153,7 +146,7 @@ def _lowest(
         # Both through here, so that the descent compiles once; in a batch who is satisfied rests.
         attempts, best = carry
         end = descended(
-            tree_where(attempts == 0, start, other.start), jnp.where(unsatisfied(carry), steps, 0)
+            tree_where(attempts == 0, start, other.start), jnp.where(unsatisfied(carry), STEPS, 0)
         )
         return attempts + 1, tree_where(end.cost < best.cost, end, best)
 

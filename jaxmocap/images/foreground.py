@@ -143,7 +143,7 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def learn_foreground(
-    frames: np.ndarray, cores: np.ndarray, bodies: np.ndarray, rounds: int = 2
+    frames: np.ndarray, cores: np.ndarray, bodies: np.ndarray
 ) -> tuple[Background, Colours]:
     """Background and colours of a recording, each helping the other.
 
@@ -155,7 +155,6 @@ def learn_foreground(
         frames: (N, h, w, 3) uint8.
         cores: (N, h, w) bool, surely the person, whatever the error of the pose.
         bodies: (N, h, w) bool, wherever the person may be.
-        rounds: 1 or more.
     """
     chosen = spread(len(frames))
     frames, cores, bodies = frames[chosen], cores[chosen], bodies[chosen]
@@ -165,20 +164,17 @@ def learn_foreground(
     background, colours = background_of(even, ~bodies), learn_colours(frames, cores, bodies)
     # Elsewhere no body hides anything.
     box = box_about(np.asarray(bodies.any(0)))
-    for _ in range(rounds - 1):
-        if box is None:
-            break
-        odds = np.stack(
-            [
-                log_odds_of(frame, background, colours, body, alone=0)
-                for frame, body in zip(frames, bodies, strict=True)
-            ]
-        )
-        free = ~(cores | (bodies & (odds > -SURE_ODDS)))
-        within = background_of(even[:, *box], free[:, *box])
-        background = background.with_part(box, within)
-        colours = learn_colours(frames, cores & (odds >= 0), bodies)
-    return background, colours
+    if box is None:
+        return background, colours
+    odds = np.stack(
+        [
+            log_odds_of(frame, background, colours, body, alone=0)
+            for frame, body in zip(frames, bodies, strict=True)
+        ]
+    )
+    free = ~(cores | (bodies & (odds > -SURE_ODDS)))
+    within = background_of(even[:, *box], free[:, *box])
+    return background.with_part(box, within), learn_colours(frames, cores & (odds >= 0), bodies)
 
 
 def weigh_odds(odds: np.ndarray) -> Layers:

@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.mesh import atlas_of, coarser, mesh_of, normals_of
 from jaxmocap.body.surfaces.surface import Surface, bones_over_time, nodes_over_time, rest_nodes
 from jaxmocap.formats.armatures.skin import TEXEL_M

@@ -1,7 +1,7 @@
 """Projection with OpenCV's distortion, of ordinary lenses and of fisheyes, point by point.
 
-INPUTS: a camera (anything with a Camera's attributes), points (metres) or pixels (x, y).
-OUTPUTS: pixels and rays; float64.
+INPUTS: a camera (anything with a Camera's attributes), points (metres).
+OUTPUTS: pixels (x, y); float64.
 """
 
 from typing import Any
@@ -64,21 +64,3 @@ def to_pixels(camera: Any, points_plane: np.ndarray) -> np.ndarray:
 def project(camera: Any, points_world: np.ndarray) -> np.ndarray:
     """Project (N, 3) world points, metres, to (N, 2) pixels (x, y); equation (11)."""
     return to_pixels(camera, normalise(to_camera(camera, points_world)))
-
-
-def pixel_rays(camera: Any, pixels_xy: np.ndarray, iterations: int = 8) -> np.ndarray:
-    """Directions (N, 3), unit length, world frame, of the rays through (N, 2) pixels.
-
-    A fisheye's need more iterations the farther they are from the optical axis.
-    """
-    inverse = np.linalg.inv(np.asarray(camera.matrix, float))
-    R_world_cam = np.asarray(camera.T_cam_world, float)[:3, :3].T
-    rays = []
-    for pixel in np.asarray(pixels_xy, float):
-        distorted = (inverse @ np.append(pixel, 1.0))[:2]
-        plane = distorted
-        for _ in range(iterations):
-            plane = plane + distorted - distort(camera, plane[None])[0]
-        ray_cam = np.append(plane, 1.0)
-        rays.append(R_world_cam @ ray_cam / np.linalg.norm(ray_cam))
-    return np.array(rays)

@@ -22,9 +22,8 @@ from threadpoolctl import ThreadpoolController
 
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, difference, retract
+from jaxmocap.body.pose import Pose, difference, retract, room
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.expansion import linearise_term
 from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.rotations import HIGHEST
@@ -38,7 +37,7 @@ from jaxmocap.silhouette.surfaces.morph import (
     with_followers,
     without_followers,
 )
-from jaxmocap.solvers.limits import room, step_within
+from jaxmocap.solvers.limits import step_within
 from jaxmocap.solvers.robust import robust_shares
 from jaxmocap.solvers.status import Status
 
@@ -154,10 +153,7 @@ def solve_pose(
     def iterate(carry: tuple[Array, Pose, Array]) -> tuple[Array, Pose, Array]:
         count, pose, _ = carry
         normal = _normal_equations(skeleton, pose, pairs, settings, beside, morph)
-        # How far each degree of freedom (6 + D,) may still go down and up.
-        endless = jnp.full(ROOT_DOF, jnp.inf, pose.angles.dtype)
-        low, high = room(skeleton.limits, pose.angles)
-        bounds = jnp.concatenate([-endless, low]), jnp.concatenate([endless, high])
+        bounds = room(skeleton.limits, pose.angles)
         if morph is not None:
             normal = _by(followed_jacobian(morph, pose.angles), normal)
             pose = without_followers(morph, pose)

@@ -43,8 +43,6 @@ from jaxmocap.smoothing.levenberg_marquardt import (
 from jaxmocap.smoothing.linearise import linearise_problem, two_workers
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, move_trajectory
 
-# Frames in one call: any recording's fill some, and compile once.
-FRAMES_A_CALL = 32
 # Steps in each round. The frames' quadratics hold near the estimates only: more are not worth it.
 STEPS = 3
 # Some hundred pairs of a frame err alike, where the person is not as the surface: deviations are so

@@ -35,7 +35,7 @@ from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearanc
 from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.evidence.markers import measured_noise
 from jaxmocap.smoothing.facing import RunningFacing
-from jaxmocap.smoothing.settings import SmoothingSettings, allow_for_noise
+from jaxmocap.smoothing.settings import LONGEST_STEP_S, SmoothingSettings, allow_for_noise
 from jaxmocap.smoothing.window.advance import Advanced, advance
 from jaxmocap.smoothing.window.events import (
     Images,
@@ -81,8 +81,6 @@ ARM_LANDMARKS = np.stack(
 )
 # Time constant with which corrections fade in, seconds.
 FADE_S = 0.07
-# Events farther apart are no motion, seconds.
-LONGEST_GAP_S = 0.25
 
 
 class SmoothedPose(NamedTuple):
@@ -173,7 +171,7 @@ class FixedLagSmoother:
             return final
         assert report is not None, "a step that does not lie between others has a report"
         last = self._last_time()
-        if last is not None and (is_placed or time - last > LONGEST_GAP_S):
+        if last is not None and (is_placed or time - last > LONGEST_STEP_S):
             final += self.flush()
         if np.isfinite(sample.markers_world).any():
             self._take(sample)
@@ -233,7 +231,7 @@ class FixedLagSmoother:
             expected = expect_poses(self.model.skeleton, last, before, alone)
             self._marker_pose = alone[-1]
             for step, there in zip(waiting, expected, strict=True):
-                since.append(step.time - events[-1].time if events else LONGEST_GAP_S)
+                since.append(step.time - events[-1].time if events else LONGEST_STEP_S)
                 facing = self._facing.step(np.asarray(there.ahead), since[-1] if events else 0.0)
                 markers = np.asarray(step.markers_world, dtype)
                 measured.append({

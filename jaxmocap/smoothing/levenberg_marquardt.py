@@ -32,6 +32,9 @@ LEAST_DAMPING = 1e-9
 LIGHT_DAMPING = 1.0
 # A step that promises less than this part of what is small is not tried.
 PROMISED = 0.5
+# Most tries of one step, and the factor on the damping after the first that failed, doubled after
+# each further one.
+ATTEMPTS, GROWTH = 8, 2.0
 
 
 class Linearised(NamedTuple):
@@ -58,10 +61,7 @@ class SolverSettings(NamedTuple):
     """How a trajectory is solved."""
 
     iterations: int = 20  # most steps
-    attempts: int = 8  # most tries of one of them
     damping: float = 1e-3  # the first, as a share of the frames' mean curvature
-    # Factor on the damping after a first try that failed, doubled after each further one.
-    growth: float = 2.0
     relative: float = 1e-4  # converged when the cost falls by no more than this share, or would
     step: float = 1e-5  # likewise when no tangent component moves by more than this
     # Curvature that every unknown has about its present value, so that what nothing determines
@@ -199,10 +199,10 @@ def _descend(
     settings: SolverSettings,
 ) -> tuple[_Place, Solution]:
     """One step downhill; the damping follows the gain as Nielsen (1999) has it."""
-    damping, growth = state.damping, settings.growth
+    damping, growth = state.damping, GROWTH
     enough = settings.relative * here.cost
     converged = state._replace(status=Status.CONVERGED)
-    for _ in range(settings.attempts):
+    for _ in range(ATTEMPTS):
         try:
             step = equations.step(damping, settings.floor)
         except NotPositiveDefinite:

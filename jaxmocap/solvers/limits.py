@@ -10,12 +10,6 @@ import jax.numpy as jnp
 from jax import Array
 
 
-def room(limits: Array, values: Array) -> tuple[Array, Array]:
-    """How far (N,) values may still go down and up within (N, 2) limits, never beyond 0."""
-    low = jnp.minimum(limits[:, 0] - values, 0.0)
-    return low, jnp.maximum(limits[:, 1] - values, 0.0)
-
-
 def step_within(
     step: Callable[[Array], Array],
     low: Array,

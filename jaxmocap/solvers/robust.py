@@ -14,12 +14,12 @@ MEDIAN_OF_LENGTHS = 1.1774
 TAILS = 5.0
 
 
-def shorten_residuals(off: Array) -> Array:
+def shorten_residuals(off: Array, tails: float = TAILS) -> Array:
     """Whitened vectors (..., N) shortened so that their squares grow as Student's t has it.
 
-    That is as a logarithm, instead of without end.
+    That is as a logarithm, instead of without end; ``tails`` are its degrees of freedom.
     """
-    ratio = jnp.sum(off**2, -1, keepdims=True) / TAILS
+    ratio = jnp.sum(off**2, -1, keepdims=True) / tails
     small = ratio < 1e-4
     large = jnp.where(small, 1.0, ratio)
     return off * jnp.sqrt(jnp.where(small, 1 - ratio / 2, jnp.log1p(large) / large))

@@ -80,13 +80,10 @@ def _camera(height: float, azimuth: float) -> Camera:
     return look_at(position, (0.0, 0.0, TARGET_SHARE * height), SIZE, focal, distortion)
 
 
-def photograph(rig: Rig, name: str, seed: int = 0, background: np.ndarray | None = None):
-    """One photograph (H, W, 3), BGR uint8, of a person: front, side, joint or arm_side.
-
-    ``background`` (H, W, 3) uint8 takes the backdrop's place.
-    """
+def photograph(rig: Rig, name: str, seed: int):
+    """One photograph (H, W, 3), BGR uint8, of a person: front, side, joint or arm_side."""
     rng = np.random.default_rng([seed, list(PHOTOGRAPHS).index(name)])
-    background = backdrop(rng) if background is None else background
+    background = backdrop(rng)
     # The backdrop stands behind the person as the camera sees it.
     turned = RotatedMover(person_in_stance(rig, name), PHOTOGRAPHS[name][1])
     camera = _camera(rest_height(rig), 0.0)

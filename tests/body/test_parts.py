@@ -5,7 +5,8 @@ import pytest
 
 from jaxmocap.body.model_files import bodies
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.subject import rest_joints
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.cli.silhouette.track import BODIES
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at

@@ -9,8 +9,8 @@ from conftest import RECORDINGS, complaint
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, with_joints
-from jaxmocap.body.subject import scale_to_landmarks
-from jaxmocap.body.surfaces.loft import generic_surface, lofted_parts, rest_joints, stature_of
+from jaxmocap.body.subject import rest_joints, scale_to_landmarks
+from jaxmocap.body.surfaces.loft import generic_surface, lofted_parts, stature_of
 from jaxmocap.body.surfaces.pieces import body_pieces
 from jaxmocap.body.surfaces.surface import (
     Surface,

@@ -9,6 +9,7 @@ from conftest import complaint
 
 from jaxmocap import Recording
 from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton, with_wrists
+from jaxmocap.body.subject import bone_vectors, rest_joints
 from jaxmocap.calibration.static_trial import scale_subject
 from jaxmocap.cli.program import main
 from jaxmocap.formats.recordings.recording import write_recording
@@ -20,11 +21,7 @@ NUMBERS = ("lengths", "masses", "diameters", "directions")
 
 def standing(skeleton: Skeleton) -> dict[str, np.ndarray]:
     """Landmarks (3,) of a skeleton with all angles 0."""
-    reach = np.asarray(skeleton.lengths)[:, None] * np.asarray(skeleton.directions)
-    joints = np.zeros_like(reach)
-    for bone, parent in enumerate(skeleton.tree.parents):
-        if parent >= 0:
-            joints[bone] = joints[parent] + reach[parent]
+    joints, reach = rest_joints(skeleton), bone_vectors(skeleton)
     return {
         name: joints[skeleton.tree.bone(bone)] + at * reach[skeleton.tree.bone(bone)]
         for name, (bone, at) in LANDMARK_PLACES.items()

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from jaxmocap.body.skeleton import Skeleton, with_joints
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.subject import rest_joints
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.morphing import shoulders
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.morphing import read_morphing

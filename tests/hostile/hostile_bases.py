@@ -29,7 +29,8 @@ from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.subject import rest_joints
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.mesh import atlas_of
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.formats.animation.export import write_animation

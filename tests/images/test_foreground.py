@@ -117,14 +117,6 @@ def test_a_static_torso_is_unknown_and_never_background():
     assert log_odds(frames[0], background, colours)[inner].min() > 0
 
 
-def test_what_covers_nothing_new_never_becomes_background_in_further_rounds():
-    frames, shown, reach = clip(standing())
-    certainty = [learn_foreground(frames, core(shown), reach, n)[0].certainty for n in (1, 2, 4)]
-    for further in certainty[1:]:
-        assert further[shown.all(0)].max() == 0
-        assert (further >= certainty[0] - 1e-6).all()
-
-
 def test_someone_who_leaves_leaves_no_ghost():
     lefts = np.where(np.arange(FRAMES) < 14, 20.0, 62.0)
     frames, shown, reach = clip(lefts)

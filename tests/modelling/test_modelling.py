@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from photograph_masks import true_person_mask
 from scipy.spatial import Delaunay
 
-from bench.modelling import MeasuredPerson, tape_measure
+from bench.modelling import MeasuredPerson
 from jaxmocap.geometry.cameras import project
 from jaxmocap.silhouette.modelling.arm_joints import evenly_spaced, turning_angles
 from jaxmocap.silhouette.modelling.arm_surface import INNER_RINGS, SLICES
+from jaxmocap.silhouette.modelling.measurements import girth_section
 from jaxmocap.silhouette.modelling.person import StanceError, person_model
 from jaxmocap.silhouette.modelling.pictures.drawing import closed_mesh, joined_meshes, volume
 from jaxmocap.silhouette.modelling.pictures.medial_axis import medial_axis, path, rim_distance
@@ -131,7 +132,7 @@ def test_four_control_points_make_a_slice_that_touches_all_sides_in_their_middle
 def test_a_full_slice_is_longer_around_than_an_ellipse():
     corners = np.array([[1.0, 2.0], [-1.0, 2.0], [-1.0, -2.0], [1.0, -2.0]])
     girths = [
-        tape_measure(superellipse_ring(corners, fullness, 400)).girth for fullness in (2.0, 3.0)
+        girth_section(superellipse_ring(corners, fullness, 400)).girth for fullness in (2.0, 3.0)
     ]
     assert girths[0] == pytest.approx(9.688, rel=5e-3)
     assert girths[0] < 0.96 * girths[1] < 0.96 * 12
@@ -253,7 +254,7 @@ def test_the_trunk_is_as_wide_deep_and_stout_as_it_is(subject):
     low, pits = levels[0], model.trunk.pits[:, 2].mean()
     shares = np.linspace(0.1, 0.9, 7)
     at = [int(np.argmin(np.abs(levels - low - share * (pits - low)))) for share in shares]
-    check_sizes([(tape_measure(rings[k][:, [1, 0]]), body.trunk(levels[k])) for k in at])
+    check_sizes([(girth_section(rings[k][:, [1, 0]]), body.trunk(levels[k])) for k in at])
 
 
 def test_arms_are_as_thick_as_they_are(subject):
@@ -263,7 +264,7 @@ def test_arms_are_as_thick_as_they_are(subject):
         for bone, first in (("humerus", 0), ("radius", SLICES[0])):
             for share in (0.375, 0.5, 0.75):
                 k = INNER_RINGS + first + round(share * SLICES[0])
-                pairs.append((tape_measure(rings[k][:, [2, 0]]), body.arm(bone, side, share)))
+                pairs.append((girth_section(rings[k][:, [2, 0]]), body.arm(bone, side, share)))
     check_sizes(pairs)
 
 

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.kinematics import forward, landmarks
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.subject import rest_joints
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from photograph_masks import true_person_mask
 
-from bench.modelling import MeasuredPerson, tape_measure
+from bench.modelling import MeasuredPerson
 from jaxmocap.formats.cameras.calibration import read_calibration
+from jaxmocap.silhouette.modelling.measurements import girth_section
 from jaxmocap.silhouette.modelling.pictures.backdrop import PhotographError, person_mask
 from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
@@ -70,11 +71,11 @@ def test_a_tape_goes_straight_over_hollows():
     angle = np.linspace(0, 2 * np.pi, 400)
     hollow = 1 - 0.3 * np.exp(-(((angle - np.pi) / 0.3) ** 2))
     kidney = np.stack([2 * hollow * np.cos(angle), hollow * np.sin(angle)], 1)
-    girth = tape_measure(np.stack([2 * np.cos(angle), np.sin(angle)], 1))
+    girth = girth_section(np.stack([2 * np.cos(angle), np.sin(angle)], 1))
     assert girth.width == pytest.approx(4, abs=1e-3)
     assert girth.depth == pytest.approx(2, abs=1e-3)
     assert girth.girth == pytest.approx(9.688, abs=5e-3)
-    assert tape_measure(kidney).girth < girth.girth
+    assert girth_section(kidney).girth < girth.girth
 
 
 def test_an_arm_is_measured_alike_however_it_is_held(slim_woman):

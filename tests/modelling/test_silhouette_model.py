@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from bench.modelling import MeasuredPerson
-from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.capture.photographs import png_of
 from jaxmocap.cli.program import main

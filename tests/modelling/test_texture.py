@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.subject import rest_joints
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.mesh import atlas_of, mesh_of
 from jaxmocap.body.surfaces.surface import bones_over_time, nodes_over_time, rest_nodes
 from jaxmocap.geometry.cameras import Camera

@@ -17,8 +17,9 @@ from test_outputs import read_recording
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.cones import with_thickness
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.mesh import atlas_of, coarser, mesh_of
 from jaxmocap.body.surfaces.surface import bones_over_time, nodes_over_time, pose_points, rest_nodes
 from jaxmocap.capture.photographs import png_of

@@ -13,8 +13,9 @@ from point_rays import on_rays
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import Skeleton, with_joints
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces import morphing as b
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import (
     BodyPoints,
     Surface,

@@ -15,7 +15,8 @@ from test_point_rays import ring
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import relaxed_pose, retract
 from jaxmocap.body.skeleton import Skeleton, with_joints
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.subject import rest_joints
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import pose_points, skin_nodes, skin_of
 from jaxmocap.geometry.cameras import project, stack_cameras
 from jaxmocap.reference.silhouette import index_image as naive

@@ -270,8 +270,6 @@ def test_a_contours_points_lie_on_a_circle_and_look_out():
         np.testing.assert_allclose(distance, 1.7 * radius, atol=0.08)
         outward = np.sum(away / distance[:, None] * np.asarray(actual.normals[view])[valid], -1)
         assert outward.min() > 0.99
-        around = np.asarray(actual.lengths[view])[valid].sum()
-        assert around == pytest.approx(2 * np.pi * 1.7 * radius, rel=0.03)
         sectors = np.histogram(np.arctan2(away[:, 1], away[:, 0]), 8)[0]
         assert sectors.min() > 0.5 * sectors.mean()
     # Twice the change of Φ over four cells, of the largest change.
@@ -336,9 +334,11 @@ def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recor
         ]
     )
     actual = segmented(CanvasImages.of(canvases), phi, SegmentationPlan())
+    whole = Region(np.array([-0.5, -0.5], np.float32), np.array(1, np.float32))
     for view, truth in enumerate(truths):
         region, level_set = regions[view], np.asarray(actual.phi[view])
         cells = overlap(full_mask(level_set, region, truth.shape), truth)
-        sharp = sharpen_silhouette(frames[view], level_set, region, rooms[view]).full(truth.shape)
+        patch = sharpen_silhouette(frames[view], level_set, region, rooms[view])
+        sharp = patch.phi(whole, 640)[:480] > 0
         assert overlap(starts[view], truth) < 0.85 and cells > 0.88
         assert overlap(sharp, truth) > max(0.94, cells + 0.01)

@@ -11,7 +11,8 @@ from test_rim import BODY, FORWARD, POSED, PROJECT
 
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.proportions import LENGTHS, scale_skeleton, stretch_points
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.subject import rest_joints
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import BodyPoints, resample_surface, rest_nodes
 from jaxmocap.geometry.cameras import stack_cameras
 from jaxmocap.silhouette.fit.correspond import ContourPairs

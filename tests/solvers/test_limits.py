@@ -8,7 +8,8 @@ from conftest import double
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxmocap.solvers.limits import room, step_within
+from jaxmocap.body.pose import room
+from jaxmocap.solvers.limits import step_within
 
 NEAR = 1e-3
 
@@ -27,11 +28,11 @@ def stepped(matrix, target, low, high, free):
 def test_room_is_what_is_left_to_either_side():
     limits = jnp.array([[-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], [0.0, jnp.inf]])
     low, high = room(limits, jnp.array([0.25, 1.0, 1.5, 2.0]))
-    np.testing.assert_allclose(low, [-1.25, -2.0, -2.5, -2.0])
+    np.testing.assert_allclose(low, [*[-np.inf] * 6, -1.25, -2.0, -2.5, -2.0])
     # Beyond a limit there is no room, and none below zero.
-    np.testing.assert_allclose(high, [0.75, 0.0, 0.0, np.inf])
+    np.testing.assert_allclose(high, [*[np.inf] * 6, 0.75, 0.0, 0.0, np.inf])
     low, _ = room(limits, jnp.array([0.0, 0.0, -1.5, 0.0]))
-    np.testing.assert_allclose(low, [-1.0, -1.0, 0.0, 0.0])
+    np.testing.assert_allclose(low[6:], [-1.0, -1.0, 0.0, 0.0])
 
 
 TWO_OF_THREE = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]], np.float32)

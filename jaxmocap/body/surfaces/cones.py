@@ -13,7 +13,7 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.geometry.cameras import Camera, radii_in_pixels, to_camera, to_pixels
 from jaxmocap.geometry.outlines import Discs, project_limb

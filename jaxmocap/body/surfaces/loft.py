@@ -16,6 +16,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.subject import bone_vectors, rest_joints
 from jaxmocap.body.surfaces.surface import Surface, surface_from_rest
 from jaxmocap.body.tree import Tree
 
@@ -86,17 +87,6 @@ def lofted_rings(
     return centres[:, None] + ahead[..., None] * cosine + outwards[..., None] * sine
 
 
-def rest_joints(skeleton: Skeleton) -> np.ndarray:
-    """Joints (B, 3) of all bones from the pelvis, with all angles 0, metres."""
-    lengths = np.asarray(skeleton.lengths, float)
-    reach = lengths[:, None] * np.asarray(skeleton.directions, float)
-    joints = np.zeros_like(reach)
-    for bone, parent in enumerate(skeleton.tree.parents):
-        if parent >= 0:
-            joints[bone] = joints[parent] + reach[parent]
-    return joints
-
-
 def stature_of(skeleton: Skeleton) -> float:
     """Body height by the lengths of trunk, head and legs, metres."""
     lengths, tree = np.asarray(skeleton.lengths, float), skeleton.tree
@@ -114,8 +104,7 @@ def ring_frames(
     """
     joints, tree = rest_joints(skeleton), skeleton.tree
     bones = [tree.bone(bone) for bone in limb.bones]
-    reach = np.asarray(skeleton.lengths, float)[:, None] * np.asarray(skeleton.directions, float)
-    reach = reach[bones]
+    reach = bone_vectors(skeleton)[bones]
     if limb.reach:
         reach[-1] *= limb.reach * stature / np.linalg.norm(reach[-1])
     which = np.clip(np.floor(places).astype(int), 0, len(bones) - 1)

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.loft import (
     LoftedPart,
     lofted_parts,
     lofted_rings,
-    rest_joints,
     ring_frames,
     stature_of,
 )

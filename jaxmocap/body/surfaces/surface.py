@@ -21,6 +21,7 @@ from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.orientations import body_turns, matrices
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.subject import bone_vectors
 from jaxmocap.compilation.arrays import on_device
 from jaxmocap.geometry.fourier import cosine_matrix, fourier_matrix, linear_matrix
 from jaxmocap.geometry.rotations import HIGHEST, rotate
@@ -237,7 +238,7 @@ def bones_over_time(skeleton: Skeleton, poses: Pose) -> tuple[np.ndarray, np.nda
     """Orientations (T, B, 3, 3) of the bones and places (T, B, 3) of their joints, world."""
     root = matrices(np.asarray(poses.quaternion, float))
     R = root[:, None] @ body_turns(skeleton, np.asarray(poses.angles, float))
-    reach = np.asarray(skeleton.lengths, float)[:, None] * np.asarray(skeleton.directions, float)
+    reach = bone_vectors(skeleton)
     joints = np.repeat(np.asarray(poses.position, float)[:, None], len(reach), 1)
     for bone, parent in enumerate(skeleton.tree.parents):
         if parent >= 0:

@@ -20,8 +20,10 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.body.orientations import body_turns, quaternions
+from jaxmocap.body.orientations import quaternions
+from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surfaces.surface import bones_over_time
 from jaxmocap.formats.armatures.body_armature import T_POSE
 from jaxmocap.formats.recordings.marker_places import MarkerPlace
 
@@ -137,12 +139,8 @@ def stand(skeleton: Skeleton, stance: Stance) -> _Stand:
     angles = np.zeros((1, len(tree.joints)))
     for joint, degrees in STANCE_ANGLES_DEG[stance].items():
         angles[0, tree.joint(joint)] = np.radians(degrees)
-    R = body_turns(skeleton, angles)[0]
-    along = np.asarray(skeleton.lengths, float)[:, None] * np.asarray(skeleton.directions, float)
-    joints = np.zeros((len(R), 3))
-    for bone, parent in enumerate(tree.parents):
-        if parent >= 0:
-            joints[bone] = joints[parent] + R[parent] @ along[parent]
+    pose = Pose(np.zeros((1, 3)), np.eye(4)[:1], angles)  # type: ignore[arg-type]
+    R, joints = (part[0] for part in bones_over_time(skeleton, pose))
     foot = tree.bone("foot_l")
     joints[:, 2] += float(skeleton.diameters[foot, 0]) - joints[foot, 2]
     return _Stand(skeleton, joints, R)

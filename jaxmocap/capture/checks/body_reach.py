@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.subject import bone_vectors, sole_and_vertex, standing_joints
+from jaxmocap.body.subject import bone_vectors, rest_joints, sole_and_vertex
 from jaxmocap.formats.recordings.recording import MarkerPlace
 
 # Limbs may be a tenth longer than a table says,
@@ -72,7 +72,7 @@ class ReachCounts:
 def standing_points(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> np.ndarray:
     """(M, 3) places of the markers with all angles 0, metres; x forward, floor at z = 0."""
     vectors = bone_vectors(skeleton)
-    joints = standing_joints(skeleton, vectors)
+    joints = rest_joints(skeleton)
     bones = [skeleton.tree.bone(place.bone) for place in places]
     along = np.array([place.at for place in places])[:, None] * vectors[bones]
     offsets = np.array([place.offset for place in places], float).reshape(-1, 3)

@@ -5,10 +5,8 @@ became of it.
 """
 
 import math
-import os
 import re
 import subprocess
-import sys
 from collections.abc import Callable, Generator
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -27,6 +25,7 @@ from jaxmocap.capture.streams.source import Listener
 from jaxmocap.capture.video import Video
 from jaxmocap.formats.cameras.video_sources import read_video_tables
 from jaxmocap.formats.files.errors import InputError, short_repr
+from jaxmocap.formats.files.reading import reader_process
 from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.geometry.cameras import SIZE_TOLERANCE, Camera
 
@@ -164,11 +163,8 @@ def stream_frames(url: str, colour: bool, max_pixels: int) -> Images:
     """
     import cv2
 
-    # Packages may lie where only PYTHONPATH or the user's own folder leads, which -I would hide.
-    script = [sys.executable, "-P", decoding.__file__]
-    command = [*script, url, "colour" if colour else "grey", str(max_pixels)]
-    # Each further thread of its libraries would take addresses.
-    alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    arguments = url, "colour" if colour else "grey", str(max_pixels)
+    command, alone = reader_process(decoding.__file__, *arguments)
     nowhere = subprocess.DEVNULL
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=nowhere, env=alone) as process:
         assert process.stdout is not None

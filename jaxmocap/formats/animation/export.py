@@ -16,7 +16,7 @@ import numpy as np
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.formats.animation.bvh import write_bvh
 from jaxmocap.formats.animation.gltf import write_gltf

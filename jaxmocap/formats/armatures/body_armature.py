@@ -20,6 +20,7 @@ from jaxmocap.body.motion import Motion, near_origin
 from jaxmocap.body.orientations import body_turns, local_turns, matrices, quaternions
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, with_wrists
+from jaxmocap.body.subject import bone_vectors
 from jaxmocap.compilation.arrays import on_device
 from jaxmocap.formats.armatures.armature import Armature
 from jaxmocap.formats.armatures.joint_names import (
@@ -48,7 +49,7 @@ def armature_of(motion: Motion, convention: str = "jaxmocap") -> Armature:
     bones = {name: i for i, name in enumerate(tree.bones)}
     _, quaternion, angles = map(np.asarray, motion.poses)
     rest = rest_orientations(skeleton)
-    reach = np.asarray(skeleton.lengths, float)[:, None] * np.asarray(skeleton.directions, float)
+    reach = bone_vectors(skeleton)
     offsets, radii = np.zeros((len(joints), 3)), np.zeros((len(joints), 2))
     for j, joint in enumerate(joints[1:], 1):
         across = bone_ending_at(skeleton, joint)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.mesh import atlas_of, mesh_of, normals_of
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.formats.armatures.armature import Armature, joint_positions

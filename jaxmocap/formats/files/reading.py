@@ -11,6 +11,7 @@ import io
 import os
 import re
 import stat
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,6 +29,14 @@ _KINDS = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
+
+
+def reader_process(script: str, *arguments: str) -> tuple[list[str], dict[str, str]]:
+    """Command and environment of a process of its own, for what may take a reader along."""
+    # Packages may lie where only PYTHONPATH or the user's own folder leads, which -I would hide.
+    command = [sys.executable, "-P", script, *arguments]
+    # Each further thread of its libraries would take addresses.
+    return command, os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
 def regular_file(path: str | Path) -> Path:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.surface import BodyPoints, Patch, Surface, rest_nodes
 from jaxmocap.body.tree import Tree
 from jaxmocap.compilation.arrays import on_device

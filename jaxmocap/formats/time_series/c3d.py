@@ -14,14 +14,13 @@ import json
 import os
 import struct
 import subprocess
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxmocap.formats.files.errors import InputError, comma_list, short_name, short_repr
-from jaxmocap.formats.files.reading import open_regular, regular_file
+from jaxmocap.formats.files.reading import open_regular, reader_process, regular_file
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series import c3d_process
 from jaxmocap.formats.time_series.tables import (
@@ -102,11 +101,8 @@ def read_c3d(path: str | Path) -> Markers:
 def _read(path: str | Path) -> _Content:
     """What ezc3d finds, in a process of its own, which a damaged file may take along."""
     regular_file(path)
-    # Packages may lie where only PYTHONPATH or the user's own folder leads, which -I would hide.
-    script = [sys.executable, "-P", c3d_process.__file__]
-    command = [*script, os.path.realpath(path), str(MAX_MEMORY_BYTES)]
-    # Each further thread of its libraries would take addresses.
-    alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    arguments = os.path.realpath(path), str(MAX_MEMORY_BYTES)
+    command, alone = reader_process(c3d_process.__file__, *arguments)
     try:
         done = subprocess.run(command, capture_output=True, timeout=MAX_READ_S, env=alone)
     except subprocess.TimeoutExpired:

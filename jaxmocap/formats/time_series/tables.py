@@ -210,6 +210,14 @@ def check_times(
         raise InputError(path, f"found samples {step:.3g} s apart, {expected}")
 
 
+def nearest_times(times: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) index of the time (T,) nearest to each of (K,) others, and how far it is, seconds."""
+    after = np.searchsorted(times, at).clip(1, max(len(times) - 1, 1))
+    pair = np.stack([after - 1, after.clip(max=len(times) - 1)], 1)
+    distance = np.abs(times[pair] - at[:, None])
+    return pair[np.arange(len(at)), distance.argmin(1)], distance.min(1)
+
+
 def usual_step(times: np.ndarray) -> float:
     """Seconds between samples (T,): the mean of the steps near the median; 0 of fewer than two.
 

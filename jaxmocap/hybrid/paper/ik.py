@@ -15,15 +15,14 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Frames, forward
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, retract
+from jaxmocap.body.pose import Pose, retract, room
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.expansion import linearise_term
 from jaxmocap.evidence.posture import effort_shares
 from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
 from jaxmocap.hybrid.settings import IKSettings
-from jaxmocap.solvers.limits import room, step_within
+from jaxmocap.solvers.limits import step_within
 from jaxmocap.solvers.sdls import (
     clamp_lengths,
     clamp_max_abs,
@@ -119,6 +118,7 @@ def _effectors(
 ) -> _Effectors:
     """The residuals of terms about a pose; lengths are clamped to a tenth of an arm (4.1)."""
     rows, errors, missed = [], [], [jnp.zeros((), pose.angles.dtype)]
+    arm_length = jnp.sum(model.skeleton.lengths[model.skeleton.tree.bones_in("arm", side="l")])
     for term in terms:
         r, J = linearise_term(term, model, pose, measured)
         r, J = _three_vectors(r), _three_vectors(J, derivatives=True)
@@ -128,7 +128,7 @@ def _effectors(
             missed.append(jnp.asarray(jnp.inf, r.dtype))
         else:
             missed.append(term.metres_per_deviation * jnp.sqrt(jnp.max(jnp.sum(r**2, -1))))
-            r = clamp_lengths(r, 0.1 * _arm_length(model.skeleton) / term.metres_per_deviation)
+            r = clamp_lengths(r, 0.1 * arm_length / term.metres_per_deviation)
         rows.append(J.reshape(-1, J.shape[-1]) / model.skeleton.costs)
         errors.append(-r.ravel())
     if not errors:
@@ -199,11 +199,5 @@ def reach(
 
 def _room(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
     """How far each degree of freedom (6 + D,) may still turn down and up, weighted."""
-    free = jnp.full(ROOT_DOF, jnp.inf, pose.angles.dtype)
     low, high = room(skeleton.limits, pose.angles)
-    weights = skeleton.costs
-    return jnp.concatenate([-free, low]) * weights, jnp.concatenate([free, high]) * weights
-
-
-def _arm_length(skeleton: Skeleton) -> Array:
-    return jnp.sum(skeleton.lengths[skeleton.tree.bones_in("arm", side="l")])
+    return low * skeleton.costs, high * skeleton.costs

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxmocap.body.motion import landmarks_over_time
-from jaxmocap.capture.timeline import nearest_times
 from jaxmocap.capture.video import FrameSource, open_video
 from jaxmocap.formats.cameras.toml_sections import replace_entries_of_each, rewrite_toml
 from jaxmocap.formats.files.errors import InputError
@@ -25,6 +24,7 @@ from jaxmocap.formats.files.writing import write_text
 from jaxmocap.formats.recordings.keypoint_models import MODELS
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.resampling import LONGEST_BRIDGED_S
+from jaxmocap.formats.time_series.tables import nearest_times
 from jaxmocap.geometry.cameras import Camera, depth, on_host, project
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.progress import Progress, progress_bar

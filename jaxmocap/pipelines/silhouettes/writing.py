@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.mesh import coarser
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.capture.photographs import picture_of

@@ -14,7 +14,6 @@ class AugmentedBodies(NamedTuple):
     """What each of D degrees of freedom carries (section 4.4)."""
 
     masses: np.ndarray  # (D,) m_i, kilograms
-    centres_world: np.ndarray  # (D, 3) centres of gravity, metres
     # (D,) h_i, horizontal distance from the joint to the centre of gravity, metres.
     arms: np.ndarray
 
@@ -34,7 +33,7 @@ def centre_of_gravity(skeleton: Any, frames: Any) -> np.ndarray:
 
 
 def augmented_bodies(skeleton: Any, frames: Any, proximal: bool = False) -> AugmentedBodies:
-    """Mass, centre of gravity and lever arm of each degree of freedom's augmented body.
+    """Mass and lever arm of each degree of freedom's augmented body.
 
     Args:
         skeleton: D degrees of freedom.
@@ -42,7 +41,7 @@ def augmented_bodies(skeleton: Any, frames: Any, proximal: bool = False) -> Augm
         proximal: the parts between root and joint instead of those that the joint carries.
     """
     tree = skeleton.tree
-    masses, centres, arms = [], [], []
+    masses, arms = [], []
     for turned_bone in tree.dof_bones:
         joint = frames.joints_world[turned_bone]
         if proximal:
@@ -50,9 +49,9 @@ def augmented_bodies(skeleton: Any, frames: Any, proximal: bool = False) -> Augm
         else:
             members = [i for i, name in enumerate(tree.bones) if turned_bone in tree.chain(name)]
         masses.append(sum(float(skeleton.masses[i]) for i in members))
-        centres.append(_centre(skeleton, frames, members) if members else joint)
-        arms.append(np.hypot(*(centres[-1] - joint)[:2]))
-    return AugmentedBodies(np.array(masses), np.array(centres), np.array(arms))
+        centre = _centre(skeleton, frames, members) if members else joint
+        arms.append(np.hypot(*(centre - joint)[:2]))
+    return AugmentedBodies(np.array(masses), np.array(arms))
 
 
 def _centre(skeleton: Any, frames: Any, members: list[int]) -> np.ndarray:

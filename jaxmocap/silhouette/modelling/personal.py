@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.subject import NECK_HEAD, TRUNK, scale_to_landmarks
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.subject import NECK_HEAD, TRUNK, rest_joints, scale_to_landmarks
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.silhouette.modelling.arm_surface import ArmBones, hand_extent
 from jaxmocap.silhouette.modelling.person import SIDES, PersonModel, trunk_middle_at

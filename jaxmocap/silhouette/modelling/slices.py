@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.subject import rest_joints
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.silhouette.modelling.arm_surface import INNER_RINGS, hand_extent, slice_positions
 from jaxmocap.silhouette.modelling.person import SIDES, PersonModel

@@ -30,7 +30,6 @@ class Contours(NamedTuple):
 
     points_xy: Array  # (V, N, 2) pixels
     normals: Array  # (V, N, 2) unit vectors, out of the person
-    lengths: Array  # (V, N) pixels of contour for which a point stands; they add up to all of it
     contrast: Array  # (V, N) 0 to 1: how clearly its two sides differ in the image
     valid: Array  # (V, N) bool; false where there is no point, or only the image's border
 
@@ -62,8 +61,6 @@ def _one(
     slope_y = (_sample_values(phi, x, y + 1) - _sample_values(phi, x, y - 1)) / 2
     steepness = jnp.sqrt(slope_x**2 + slope_y**2 + 1e-12)
     out_x, out_y = -slope_x / steepness, -slope_y / steepness
-    # A crossing on every row and one on every column: a slanting contour has more of them.
-    length = scale / (jnp.abs(out_x) + jnp.abs(out_y))
     jump = _sample_values(log_ratio, x - ASIDE * out_x, y - ASIDE * out_y)
     jump -= _sample_values(log_ratio, x + ASIDE * out_x, y + ASIDE * out_y)
     within = _sample_values(inside, x + ASIDE * out_x, y + ASIDE * out_y) > 0.99
@@ -71,7 +68,6 @@ def _one(
     return Contours(
         origin + (cells + 0.5) * scale,
         jnp.stack([out_x, out_y], -1),
-        length * jnp.maximum(total.astype(phi.dtype) / count, 1.0),
         jnp.clip(jump / (2 * most), 0.0, 1.0),
         (jnp.arange(count) < total) & within,
     )

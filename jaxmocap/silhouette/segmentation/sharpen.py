@@ -66,21 +66,6 @@ class SilhouettePatch(NamedTuple):
         distance = resample_values(_distance(self.mask), here, size)
         return distance / np.float32(here.scale)
 
-    def full(self, shape: tuple[int, int]) -> np.ndarray:
-        """(H, W) bool on the image of that shape."""
-        height, width = self.mask.shape
-        step = round(float(self.region.scale))
-        filled = np.zeros(shape, bool)
-        left, top = (round(float(value) + 0.5) for value in self.region.origin)
-        part = filled[top : top + step * height, left : left + step * width]
-        if step == 1:
-            part[:] = self.mask
-        else:
-            size = (step * width, step * height)
-            wide = cv2.resize(_distance(self.mask), size, interpolation=cv2.INTER_LINEAR)
-            part[:] = wide[: part.shape[0], : part.shape[1]] > 0
-        return filled
-
 
 def sharpen_silhouette(
     image: np.ndarray, phi: np.ndarray, region: Region, background: Background | None = None

@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxmocap.body.model_files import surface_rows_of
 from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton
-from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.surface import (
     BodyPoints,
     Skin,

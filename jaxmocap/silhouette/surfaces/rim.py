@@ -21,7 +21,7 @@ from jax import Array
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.morphing import Morphing
 from jaxmocap.body.surfaces.surface import (
     Skin,

@@ -28,7 +28,7 @@ from jaxmocap.body.proportions import (
     stretch_points,
 )
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.surface import Surface, pose_points
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton
+from jaxmocap.body.subject import bone_vectors
 
 # Shortest distance of the wrist from the shoulder, arm lengths: a folded arm would collide with
 # itself.
@@ -116,8 +117,7 @@ class Figure:
     @cached_property
     def reaches(self) -> np.ndarray:
         """(B, 3) from each bone's joint to its far end, in its own frame, metres."""
-        lengths = np.asarray(self.skeleton.lengths, float)
-        return lengths[:, None] * np.asarray(self.skeleton.directions, float)
+        return bone_vectors(self.skeleton)
 
     def reach(self, bone: str) -> np.ndarray:
         """(3,) the same of one bone."""

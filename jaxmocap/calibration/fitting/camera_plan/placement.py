@@ -180,12 +180,9 @@ class BestPlace(NamedTuple):
 def best_place(goal: Goal, bounds: Bounds, ring: Ring, show: Callable[[float], None]) -> BestPlace:
     """The best place of a camera, from the best ones of a ring; ``show`` gets the share done.
 
-    Raises:
-        ValueError: no place of the ring is far enough from the person.
+    Some place of the ring must be far enough from the person.
     """
     starts = _starts(ring)
-    if not starts:
-        raise ValueError(f"leaves no place {NEAREST_M:g} m from the person")
     found: list[tuple[float, np.ndarray]] = []
     for k, start in enumerate(starts):
         found.append(_improve_place(goal, bounds, start))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.mesh import MARGIN, Atlas, SurfaceMesh, atlas_of, mesh_of
 from jaxmocap.body.surfaces.surface import Surface, bones_over_time, nodes_over_time, rest_nodes
 from jaxmocap.silhouette.modelling.personal import PersonalModel
