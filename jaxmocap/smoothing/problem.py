@@ -32,6 +32,9 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 
 # A turn is a rotation vector.
 TURN = 3
+# Most calibrations err by little, and some cameras were pushed since: Student's t with so many
+# degrees of freedom.
+TURN_TAILS = 1.0
 # Where the cameras are held to be as calibrated.
 UNTURNED = np.zeros((0, TURN), np.float32)
 
@@ -186,16 +189,19 @@ def shared_prior(
     proportions, turns_cam = trajectory.proportions, trajectory.turns_cam
     if not proportions.size + turns_cam.size:
         return np.zeros((0, 0)), np.zeros(0), 0.0
-    cameras = len(turns_cam)
+    cameras, share = len(turns_cam), float(settings.proportions) / len(trajectory.poses.angles)
+    lengths = np.ravel(proportions).astype(float)
     own = np.linalg.inv(covariance_among_people(proportions.size)) * max(len(camera), 1)
-    views = np.maximum(np.bincount(camera, minlength=cameras)[:cameras], 1)
-    turns = np.diag(np.repeat(views, TURN).astype(float))
+    cost, turns = float(lengths @ own @ lengths), np.zeros((0, 0))
     if cameras:
-        turns /= np.square(float(settings.camera))
-    share = float(settings.proportions) / len(trajectory.poses.angles)
+        views = np.maximum(np.bincount(camera, minlength=cameras)[:cameras], 1)
+        squares = np.sum(np.square(turns_cam.astype(float) / float(settings.camera)), -1)
+        far = 1 + squares / TURN_TAILS
+        cost += float(np.sum(views * TURN_TAILS * np.log(far)))
+        turns = np.diag(np.repeat(views / np.square(float(settings.camera)) / far, TURN))
     weights = np.asarray(block_diag(own, turns)) * share
-    x = np.concatenate([np.ravel(proportions), np.ravel(turns_cam)]).astype(float)
-    return weights, weights @ x, float(x @ weights @ x)
+    x = np.concatenate([lengths, np.ravel(turns_cam)])
+    return weights, weights @ x, cost * share
 
 
 def among_cameras(

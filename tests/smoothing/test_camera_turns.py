@@ -74,6 +74,15 @@ def test_cameras_are_found_to_be_turned_as_they_are():
     assert (left < 0.5 * np.linalg.norm(TURNS, axis=1)).all()
 
 
+def test_a_camera_that_was_pushed_is_found_where_it_is():
+    """Two degrees, where a third of one is usual: four and a half times what a calibration errs."""
+    tight = replace(LOOSE, camera=jnp.float32(0.0055))
+    turned = misstated((0, 1), 4 * TURNS, tight)
+    found = smooth_poses(turned, start(True), SOFTNESS).trajectory.turns_cam
+    left = np.linalg.norm(np.asarray(found) - 4 * TURNS, axis=1)
+    assert (left < 0.25 * np.linalg.norm(4 * TURNS, axis=1)).all()
+
+
 def test_a_camera_without_a_view_stays_as_it_is():
     turns = np.asarray(solved().trajectory.turns_cam)
     assert np.abs(turns[0]).max() > 1e-3 and not turns[1].any()

@@ -44,6 +44,8 @@ from jaxmocap.smoothing.problem import FirstPass, Trajectory
 from jaxmocap.smoothing.uncertainty import deviations_without
 from jaxmocap.smoothing.window.advance import DELAY_FRAMES, DELAY_S
 
+# A camera that is turned by more against its calibration was pushed, degrees.
+TURNED_DEG = 1.0
 # Run -> the people on whose recordings the factors of its deviations were chosen.
 CALIBRATED_ON = {
     "video": "rendered table-tennis players and fencers, and a real person before four cameras",
@@ -164,6 +166,14 @@ def track_both(
     cameras = [source.camera_name for source in recording.videos]
     # Each camera's estimated rotation against its calibration, a vector in its frame.
     turns = [] if trajectory is None else np.degrees(trajectory.turns_cam).tolist()
+    turned = tuple(
+        f"{name}: turned by {size:.1f}° against its calibration, as its images fit the markers; "
+        "calibrate it again"
+        for name, size in zip(
+            cameras, np.linalg.norm(turns, axis=-1) if turns else (), strict=False
+        )
+        if size > TURNED_DEG
+    )
     left_out = trajectory and trajectory.left_out
     people = CALIBRATED_ON["markers" if not used else "causal" if causal else "video"]
     # Within which a smoothed causal pose is given out.
@@ -173,7 +183,7 @@ def track_both(
         "mode": mode,
         "cameras": cameras,
         "markers": recording.marker_names,
-        "warnings": opened.warnings,
+        "warnings": opened.warnings + turned,
         "filters": opened.cleaning.figures(),
         "tracker": tracker.settings,
         "camera_turns_deg": dict(zip(cameras, turns, strict=False)),
