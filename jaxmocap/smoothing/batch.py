@@ -57,8 +57,8 @@ DECIDING = (1.5,)
 FINELY = (0.8,)
 # A solve that only prepares the next look ends where the cost falls by no more than this share.
 PREPARED = 1e-3
-# Images are looked at so often at first, where a camera is found to be turned by more than this.
-MOST_LOOKS, PUSHED_RAD = 3, 0.009
+# Rough solves at most, while a camera is found to be turned by more than this in one of them.
+ROUGH_SOLVES, PUSHED_RAD = 3, 0.009
 # Background and colours are learned from so many frames.
 LEARNED_FRAMES = 30
 # So many times candidates decide where the elbows are, turned about what the arms' markers hold,
@@ -176,12 +176,14 @@ def solve_recording(
         poses = _with_usual_legs(model, settings, first_pass.times, measured, poses)
     no_change = np.zeros(len(PROPORTIONS), model.dtype)
     trajectory = Trajectory(poses, no_change, _as_calibrated(model, settings))
-    for _ in range(MOST_LOOKS):
-        problem, before = measured_about(trajectory), trajectory.turns_cam
+    problem = measured_about(trajectory)
+    for _ in range(ROUGH_SOLVES):
+        before = trajectory.turns_cam
         trajectory = smooth_poses(problem, trajectory, ROUGHLY, PREPARED, coarse=True).trajectory
-        # Where a camera was pushed, the person was looked for beside where they are.
         if not (np.linalg.norm(trajectory.turns_cam - before, axis=-1) > PUSHED_RAD).any():
             break
+        # The person was looked for beside where this camera has them.
+        problem = measured_about(trajectory)
     show(0.3)
     unmarked = unmarked_arms(model.skeleton.tree, model.markers, first_pass.markers_world)
     pivots = FREE_DECISIONS if unmarked.any() else DECISIONS
