@@ -34,12 +34,12 @@ from jaxmocap.capture.video import MemoryVideo
 from jaxmocap.evidence.appearance.hulls import draw_hulls
 from jaxmocap.evidence.appearance.learned import ROWS, Drawing
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
-from jaxmocap.geometry.cameras import project
+from jaxmocap.geometry.cameras import project, turn_camera
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.silhouette_grid import Grid
 from jaxmocap.pipelines.tracking.motions import steps_as_trajectory
-from jaxmocap.pipelines.tracking.track import track_both
+from jaxmocap.pipelines.tracking.track import track, track_both
 from jaxmocap.smoothing import batch
 from jaxmocap.smoothing.batch import CameraFrames, smooth_recording
 from jaxmocap.smoothing.linearise import SmoothedPoses
@@ -392,6 +392,16 @@ def test_the_report_has_the_turn_of_the_camera(both_passes):
     assert list(over_all["camera_turns_deg"]) == ["cam"] and len(turn) == 3
     assert 0 < np.linalg.norm(turn) < 0.2
     assert causal["camera_turns_deg"] == {}
+
+
+def test_a_camera_that_was_pushed_is_named_and_the_elbows_are_found(recording, both_passes):
+    (video,), usual = recording.videos, both_passes[0].motion
+    turn = np.radians(np.float32([1.5, -2.0, 0.0]))
+    pushed = replace(video, camera=turn_camera(video.camera, turn))
+    motion = track(replace(recording, videos=(pushed,)))
+    assert errors_of(motion.poses).mean() < 1.5 * errors_of(usual.poses).mean()
+    (warning,) = set(motion.report.settings["warnings"]) - set(usual.report.settings["warnings"])
+    assert "cam: turned by 2" in warning and "calibrate it again" in warning
 
 
 def test_causally_each_pose_waits_for_two_frames_as_the_report_has_it(both_passes):

@@ -21,7 +21,7 @@ from jaxmocap.capture.keypoints import open_keypoints
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import Mode, Timeline, build_timeline
 from jaxmocap.capture.video import FrameSource
-from jaxmocap.evidence.markers import MarkerPositions, measured_noise
+from jaxmocap.evidence.markers import measured_noise
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.tables import usual_step
@@ -134,11 +134,8 @@ def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
         stretched = check_stretched_arms(recording, measured_bones(recording.path))
         warnings += tuple(f"{recording.path}: {finding.sentence}" for finding in stretched)
     recording, cleaning = filter_markers(recording, causal=mode == "causal")
-    noise = measured_noise(recording.times, recording.positions_world)
-    if noise > MarkerPositions().deviation:
-        shake = f"the markers shake by {1e3 * noise:.0f} mm, a standard deviation of a coordinate"
-        warnings += (f"{shake}; they count for less",)
     warnings += cleaning.warnings
+    noise = measured_noise(recording.times, recording.positions_world)
     keypoints = tuple(map(open_keypoints, recording.videos, videos))
     warnings += tuple(warning for each in keypoints if each for warning in each.warnings)
     return Opened(recording, videos, keypoints, cleaning, noise, warnings)

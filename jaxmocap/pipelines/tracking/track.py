@@ -8,7 +8,7 @@ Smoothing starts where the search has the elbows: from the markers' poses it end
 INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its Report.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from time import perf_counter
 
 import jax
@@ -167,12 +167,10 @@ def track_both(
     cameras = [source.camera_name for source in recording.videos]
     # Each camera's estimated rotation against its calibration, a vector in its frame.
     turns = [] if trajectory is None else np.degrees(trajectory.turns_cam).tolist()
-    turned = tuple(
-        f"{name}: turned by {size:.1f}° against its calibration, as its images fit the markers; "
-        "calibrate it again"
-        for name, turn in zip(cameras, turns, strict=False)
-        if (size := float(np.hypot(*turn[:2]))) > TURNED_DEG
-    )
+    warnings = opened.warnings + _turn_warnings(cameras, turns)
+    if smooth and opened.noise > tracker.settings.smoothing.markers.deviation:
+        shake = f"the markers shake by {1e3 * opened.noise:.0f} mm"
+        warnings += (f"{shake}, a standard deviation of a coordinate; they count for less",)
     left_out = trajectory and trajectory.left_out
     people = CALIBRATED_ON["markers" if not used else "causal" if causal else "video"]
     # Within which a smoothed causal pose is given out.
@@ -182,7 +180,7 @@ def track_both(
         "mode": mode,
         "cameras": cameras,
         "markers": recording.marker_names,
-        "warnings": opened.warnings + turned,
+        "warnings": warnings,
         "filters": opened.cleaning.figures(),
         "tracker": tracker.settings,
         "camera_turns_deg": dict(zip(cameras, turns, strict=False)),
@@ -199,6 +197,17 @@ def track_both(
     if cutoff:
         ended = ended._replace(poses=_low_pass(events, ended.poses, tracker, cutoff))
     return motions(tracker.model, events, first, ended, clock.milliseconds, plain(figures))
+
+
+def _turn_warnings(cameras: Sequence[str], turns_deg: Sequence[Sequence[float]]) -> tuple[str, ...]:
+    """Which cameras do not look where their calibrations state, by their estimated turns."""
+    aside = [float(np.hypot(x, y)) for x, y, _ in turns_deg]
+    return tuple(
+        f"{name}: turned by {size:.1f}° against its calibration, as its images fit the markers; "
+        "calibrate it again"
+        for name, size in zip(cameras, aside, strict=False)
+        if size > TURNED_DEG
+    )
 
 
 def _frame_count(frame_index: np.ndarray) -> int:
