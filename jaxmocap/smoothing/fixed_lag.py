@@ -35,7 +35,7 @@ from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearanc
 from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.evidence.markers import measured_noise
 from jaxmocap.smoothing.facing import RunningFacing
-from jaxmocap.smoothing.settings import LONGEST_STEP_S, SmoothingSettings, allow_for_noise
+from jaxmocap.smoothing.settings import LONGEST_STEP_S, SmoothingSettings
 from jaxmocap.smoothing.window.advance import Advanced, advance
 from jaxmocap.smoothing.window.events import (
     Images,
@@ -191,8 +191,6 @@ class FixedLagSmoother:
         noise = measured_noise(times, np.stack([each.markers_world for each in self._samples]))
         share = 1 / min(self._taken // RECENT_SAMPLES, NOISE_MEMORY)
         self._noise_variance += share * (noise**2 - self._noise_variance)
-        settings = allow_for_noise(self.settings, self._noise_variance**0.5)
-        self._advance = advance.after(self.model, settings)
 
     def lies_between(self, time: float, images: Images, markers_world: np.ndarray) -> bool:
         """Whether a step follows the last event closely, and its markers (M, 3) the last sample."""
@@ -298,7 +296,7 @@ class FixedLagSmoother:
         if final:
             track += between_events(events, len(events), self._between)
         faded = [self._fade(each) for each in track]
-        poses = track_poses(self._person, faded, self._noise_variance**0.5)
+        poses = track_poses(self._person, faded)
         deviations = self._deviations(found)
         unrecognised = {event.number: event.unrecognised for event in events}
         return [
@@ -312,7 +310,10 @@ class FixedLagSmoother:
     def _deviations(self, found: Advanced) -> np.ndarray:
         """(L, 3) of what is given out, metres."""
         alike = ERRS_ALIKE if self.model.camera_count else ERRS_ALIKE_WITHOUT_VIDEO
-        deviations = np.hypot(alike * found.deviations.astype(float), FADED_M)
+        # Poses follow markers as if these were measured as precisely as is stated.
+        noise = self._noise_variance**0.5
+        off = noise if noise > self.settings.markers.deviation else FADED_M
+        deviations = np.hypot(alike * found.deviations.astype(float), off)
         if self._is_seen:
             spread = deviations[ARM_LANDMARKS], found.arms_spread
             deviations[ARM_LANDMARKS] = np.hypot(*spread)

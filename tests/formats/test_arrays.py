@@ -60,6 +60,14 @@ def header(descr: str, shape: str) -> bytes:
 # Any .npz file ----------------------------------------------------------------------------------
 
 
+def test_half_precision_is_read_without_a_warning(tmp_path, motion, recwarn):
+    """Bounds are beyond its range."""
+    halves = {name: a.astype(np.float16) for name, a in motion.items() if a.dtype == np.float32}
+    assert len(halves) > 2
+    load_motion(changed(tmp_path, motion | halves))
+    assert not recwarn.list
+
+
 def test_what_is_no_archive_of_arrays_is_refused(tmp_path):
     path = tmp_path / "a.npz"
     path.write_bytes(b"")

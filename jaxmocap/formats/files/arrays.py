@@ -219,7 +219,9 @@ class NpzArrays:
             low, high = (
                 round(max(-_LARGEST_INTEGER, min(bound, _LARGEST_INTEGER))) for bound in (low, high)
             )
-        bad = ~((array >= low) & (array <= high))
+        # Bounds beyond a small type's range are infinite in it.
+        with np.errstate(over="ignore"):
+            bad = ~((array >= low) & (array <= high))
         if array.dtype.kind == "f":
             infinite = np.isinf(array)
             bad = (bad & ~infinite) if stated.allow_infinity else (bad | infinite)

@@ -169,8 +169,8 @@ def track_both(
     turns = [] if trajectory is None else np.degrees(trajectory.turns_cam).tolist()
     warnings = opened.warnings + _turn_warnings(cameras, turns)
     if smooth and opened.noise > tracker.settings.smoothing.markers.deviation:
-        shake = f"the markers shake by {1e3 * opened.noise:.0f} mm"
-        warnings += (f"{shake}, a standard deviation of a coordinate; they count for less",)
+        shake = f"the markers shake by {1e3 * opened.noise:.0f} mm, a standard deviation of a"
+        warnings += (f"{shake} coordinate; deviations allow for that",)
     left_out = trajectory and trajectory.left_out
     people = CALIBRATED_ON["markers" if not used else "causal" if causal else "video"]
     # Within which a smoothed causal pose is given out.

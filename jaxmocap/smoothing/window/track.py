@@ -32,8 +32,6 @@ FADED_M = 0.004
 # No point ends farther off its marker than this, metres. A limb that is pulled shakes its elbow.
 # The head's is two degrees at an orientation's lever.
 STRAY_M, HEAD_STRAY_M = 0.008, 0.004
-# Off noisy markers it may end by so many standard deviations of their noise.
-STRAY_DEVIATIONS = 2.0
 # Steps that bring points back, how far one goes at most, metres, and their damping, metres: enough
 # for a stretched arm. A hand that is back from elsewhere would take the head along in one step.
 HOLDING_STEPS = 3
@@ -156,25 +154,22 @@ def between_events(
     ]
 
 
-def track_poses(model: Model, track: Sequence[TrackPose], noise: float = 0.0) -> np.ndarray:
+def track_poses(model: Model, track: Sequence[TrackPose]) -> np.ndarray:
     """Packed poses (G, 7 + D), moved by their offsets, near their markers (``move_near_markers``).
 
     Args:
         model: M markers, D degrees of freedom.
         track: where they lie.
-        noise: of the markers, metres.
     """
-    of_all = np.asarray(noise, model.dtype)
     columns = zip(*(tuple(each)[2:] for each in track), strict=True)
     stacks = tuple(np.stack(column).astype(model.dtype) for column in columns)
-    (poses,) = in_batches(lambda *some: (_track_poses(model, of_all, *some),), stacks, TRACK_A_CALL)
+    (poses,) = in_batches(lambda *some: (_track_poses(model, *some),), stacks, TRACK_A_CALL)
     return poses.astype(model.dtype)
 
 
 @program("quick")
 def _track_poses(
     model: Model,
-    noise: Array,
     events: Array,
     spans: Array,
     share: Array,
@@ -189,7 +184,7 @@ def _track_poses(
         earlier, before, after, later = (unpack(each) for each in events)
         ways = (difference(before, earlier), difference(after, before), difference(later, after))
         there = retract(before, cubic_step(*ways, spans, share))
-        return pack(move_near_markers(model, there, offset, markers_world, noise))
+        return pack(move_near_markers(model, there, offset, markers_world))
 
     return jax.vmap(one)(events, spans, share, markers_world, offset)
 
@@ -227,7 +222,6 @@ def move_near_markers(
     pose: Pose,
     offset: Array,
     markers_world: Array,
-    noise: Array | float = 0.0,
 ) -> Pose:
     """A pose moved by a tangent vector, its markers' points hardly.
 
@@ -237,7 +231,6 @@ def move_near_markers(
         offset: (6 + D,) to move it by.
         markers_world: (M, 3) metres, to which points come as near as ``STRAY_M``. NaN where one is
             missing; its point goes along.
-        noise: of the markers, metres.
     """
     skeleton, sites = model.skeleton, model.markers
     own, there = (
@@ -246,7 +239,6 @@ def move_near_markers(
     )
     of_head = np.isin(sites.bone_indices, skeleton.tree.bones_in("spine", "head"))
     stray = jnp.where(of_head, HEAD_STRAY_M, STRAY_M)[:, None]
-    stray = jnp.maximum(stray, STRAY_DEVIATIONS * noise)
     off = own + clamp_lengths(there - own, FADED_M) - markers_world
     goals = markers_world + clamp_lengths(off, stray)
     return on_markers(model, retract(pose, offset), goals)
