@@ -76,12 +76,15 @@ def _stops_at_once(steps: np.ndarray, finest: np.ndarray) -> np.ndarray:
 
 
 def find_frozen(times: np.ndarray, positions: np.ndarray, causal: bool = False) -> np.ndarray:
-    """(T, M) frozen samples of (T, M, 3): from the first repeat on, ``causal`` from the fifth."""
+    """(T, M) frozen samples of (T, M, 3): from the first repeat on, as ``frozen_step``'s if causal.
+
+    Marker by marker: sample by sample a long recording would take seconds.
+    """
     frozen = np.zeros(positions.shape[:2], bool)
     for marker in range(positions.shape[1]):
         rows = np.flatnonzero(np.isfinite(positions[:, marker]).all(-1))
         path = positions[rows, marker]
-        # Each run of equal places begins at one of these, the last of them ends nowhere.
+        # Where runs of equal places begin, and where the next one does; none without a sample.
         begins = np.flatnonzero(np.r_[True, (path[1:] != path[:-1]).any(-1)])[: len(rows)]
         ends = np.r_[begins[1:], len(rows)]
         lasting = times[rows[ends - 1]] - times[rows[begins]]

@@ -295,8 +295,7 @@ class FixedLagSmoother:
             self._between = self._between[len(earlier) :]
         if final:
             track += between_events(events, len(events), self._between)
-        faded = [self._fade(each) for each in track]
-        poses = track_poses(self._person, faded)
+        poses = track_poses(self._person, [self._fade(each) for each in track])
         deviations = self._deviations(found)
         unrecognised = {event.number: event.unrecognised for event in events}
         return [

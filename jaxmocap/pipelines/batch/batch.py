@@ -200,7 +200,7 @@ def row_of(job: Job, motion: Motion, took_s: float) -> CorpusRow:
     """A tracked recording's line of the table."""
     report = motion.report
     assert report is not None
-    # Frame by frame and without video nothing is known of how sure elbows are.
+    # Frame by frame and without video nothing states how sure elbows are.
     is_stated = job.settings.smooth or bool(report.settings.get("video_frames"))
     deviations = report.elbow_deviations if is_stated else np.full((1, 2), np.nan)
     finite = deviations[np.isfinite(deviations).all(1)]

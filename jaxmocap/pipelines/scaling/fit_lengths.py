@@ -28,6 +28,7 @@ from jaxmocap.pipelines.tracking.events import RecordingEvents, open_recording
 from jaxmocap.pipelines.tracking.first_pass import scan_events
 from jaxmocap.pipelines.tracking.track import with_sight_lines
 from jaxmocap.smoothing.batch import FINELY, solve_recording
+from jaxmocap.smoothing.settings import allow_for_noise
 
 # Hands that move less than this about the head (RMS, metres) show too few postures.
 LEAST_MOVEMENT_M = 0.10
@@ -76,7 +77,7 @@ def fit_recording(recording: Recording, progress: Progress | bool | None = None)
             first = scan_events(events, tracker, readers, part, clock)
         solved = solve_recording(
             tracker.model,
-            opened.allow_for_noise(tracker.settings.smoothing),
+            allow_for_noise(tracker.settings.smoothing, opened.noise),
             with_sight_lines(opened, events, first),
             cached_frames(opened.videos, ROWS),
             lambda share: show(round(36 + 54 * share), 100),

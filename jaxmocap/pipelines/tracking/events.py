@@ -27,7 +27,6 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.tables import usual_step
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.outputs.report import SIDES
-from jaxmocap.smoothing.settings import SmoothingSettings, allow_for_noise
 from jaxmocap.solvers.status import SENTENCES, Status
 
 # An image whose brightness varies by less (of 255) shows nothing.
@@ -115,10 +114,6 @@ class Opened(NamedTuple):
     cleaning: Cleaning  # what filters did to the markers
     noise: float  # white, in each coordinate of the markers, metres
     warnings: tuple[str, ...]  # for the user
-
-    def allow_for_noise(self, settings: SmoothingSettings) -> SmoothingSettings:
-        """With markers that err by their noise at least."""
-        return allow_for_noise(settings, self.noise)
 
 
 def open_recording(recording: Recording, mode: Mode = "own") -> Opened:

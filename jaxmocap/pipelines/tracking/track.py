@@ -41,6 +41,7 @@ from jaxmocap.smoothing.batch import smooth_recording
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother
 from jaxmocap.smoothing.markers_alone import smooth_markers
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
+from jaxmocap.smoothing.settings import allow_for_noise
 from jaxmocap.smoothing.uncertainty import deviations_without
 from jaxmocap.smoothing.window.advance import DELAY_FRAMES, DELAY_S
 
@@ -231,7 +232,7 @@ def _smooth_recording(
     show: Callable[[float], None],
     why: bool,
 ) -> Trajectory | None:
-    model, settings = tracker.model, opened.allow_for_noise(tracker.settings.smoothing)
+    model, settings = tracker.model, allow_for_noise(tracker.settings.smoothing, opened.noise)
     if not model.camera_count or not (first.frame_index >= 0).any():
         return smooth_markers(model, settings, first, show, why)
     first = with_sight_lines(opened, events, first)
