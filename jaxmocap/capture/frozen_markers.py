@@ -83,9 +83,11 @@ def find_frozen(times: np.ndarray, positions: np.ndarray, causal: bool = False) 
     frozen = np.zeros(positions.shape[:2], bool)
     for marker in range(positions.shape[1]):
         rows = np.flatnonzero(np.isfinite(positions[:, marker]).all(-1))
+        if not len(rows):
+            continue
         path = positions[rows, marker]
-        # Where runs of equal places begin, and where the next one does; none without a sample.
-        begins = np.flatnonzero(np.r_[True, (path[1:] != path[:-1]).any(-1)])[: len(rows)]
+        # Where runs of equal places begin, and where the next one does.
+        begins = np.flatnonzero(np.r_[True, (path[1:] != path[:-1]).any(-1)])
         ends = np.r_[begins[1:], len(rows)]
         lasting = times[rows[ends - 1]] - times[rows[begins]]
         is_long = (ends - begins > FROZEN_SAMPLES) & (lasting >= FROZEN_S)

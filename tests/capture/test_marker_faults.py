@@ -63,6 +63,12 @@ def test_an_animation_that_comes_to_rest_and_one_that_never_moves_are_not_frozen
     assert not find_frozen(times, np.full((360, 2, 3), 1.5)).any()
 
 
+def test_a_marker_that_was_never_measured_is_not_frozen():
+    points = np.random.default_rng(0).normal(size=(40, 2, 3))
+    points[:, 1] = np.nan
+    assert not find_frozen(np.arange(40) / RATE, points).any()
+
+
 @pytest.mark.parametrize("step", [1e-3, 1e-4])
 def test_coarse_coordinates_repeat_at_rest_and_are_not_frozen(step):
     times, points = played(0, noise=False)
