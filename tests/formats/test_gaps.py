@@ -41,6 +41,21 @@ def test_a_gap_is_longer_than_half_a_second_and_five_samples(times, expected):
     assert is_gap(np.array(times)).tolist() == expected
 
 
+def test_poses_that_are_unknown_lie_between_their_neighbours_and_are_held_at_the_ends():
+    motion, is_known = with_gap(HOURS), np.ones(SAMPLES, bool)
+    is_known[[0, 1, -1]] = is_known[MIDDLE - 2 : MIDDLE + 3] = False
+    poses = resampling.bridge_poses(motion.times, motion.poses, is_known)
+    for before, after in zip(motion.poses, poses, strict=True):
+        np.testing.assert_array_equal(after[is_known], before[is_known])
+        np.testing.assert_allclose(after[[0, 1, -1]], before[[2, 2, -2]], atol=1e-6)
+    ends = motion.poses.position[[MIDDLE - 3, MIDDLE + 3]]
+    share = (motion.times - motion.times[MIDDLE - 3]) / np.ptp(
+        motion.times[[MIDDLE - 3, MIDDLE + 3]]
+    )
+    expected = ends[0] + share[MIDDLE, None] * (ends[1] - ends[0])
+    np.testing.assert_allclose(poses.position[MIDDLE], expected, atol=1e-5)
+
+
 def test_a_viewer_stands_still_through_two_hours_and_then_jumps(tmp_path):
     motion = with_gap(HOURS)
     assert write_animation(tmp_path / "a.glb", motion) is None

@@ -80,6 +80,17 @@ def test_a_full_set_is_met_and_the_sentence_says_what_was_fitted(tracked):
     assert misfit(tracked) is None
 
 
+def test_few_samples_are_counted_once_and_a_gap_is_passed_through(twisted):
+    recording = load_recording(twisted[0] / "recording.toml")
+    rows, missing = [60, 61, 62, 63, 64], 2
+    positions = recording.positions_world[rows]
+    positions[missing] = np.nan
+    found = track(replace(recording, times=recording.times[rows], positions_world=positions))
+    assert "4 samples" in found.report.settings["fitted"]
+    angles = found.poses.angles
+    np.testing.assert_allclose(angles[missing], angles[[1, 3]].mean(0), atol=1e-4)
+
+
 def test_the_joints_follow_a_twisted_trunk_and_their_deviations_follow_from_the_markers(
     tracked, twisted
 ):

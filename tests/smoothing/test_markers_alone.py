@@ -45,6 +45,18 @@ def test_markers_alone_are_smoothed_and_say_how_sure_they_are(recording):
     assert stated[47, 0] > 0.05 and off[40:55, 0].max() < 3 * stated[47, 0]
 
 
+def test_who_goes_on_while_no_marker_is_there_is_followed_through_the_gap(recording):
+    way = np.array([[[1.0, 0.0, 0.0]]]) * recording.times[:, None, None]
+    positions, gap = recording.positions_world + way, slice(36, 60)
+    positions[gap] = np.nan
+    found = track(replace(recording, positions_world=positions))
+    rows = landmark_rows(("pelvis", "vertex"))
+    expected = (points_of(truth(COUNT)) + way)[gap, rows]
+    joints = np.stack([found.joints()[name][gap] for name in ("pelvis", "vertex")], 1)
+    off = np.linalg.norm(joints - expected, axis=-1)
+    assert off.max() < 0.15
+
+
 def shaking(motion: Motion) -> float:
     """Root mean square of an elbow's acceleration, m/s^2."""
     accelerations = second_difference(motion.times, motion.joints()["elbow_r"])

@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -139,11 +140,32 @@ def resample_armature(armature: Armature, times: np.ndarray) -> Armature:
 
 def resample_motion(motion: Motion, times: np.ndarray) -> Motion:
     """A motion at (N,) other times; its report is dropped."""
-    at = interpolation_at(motion.times, times)
-    position, quaternion, angles = (np.asarray(part, float) for part in motion.poses)
+    poses = _poses_at(motion.poses, interpolation_at(motion.times, times))
+    return replace(motion, times=times, poses=poses, report=None)
+
+
+def bridge_poses(times: np.ndarray, poses: Pose, is_known: np.ndarray) -> Pose:
+    """Poses (T, ...) of which those that are not known (T,) lie between their neighbours that are.
+
+    However long it takes: where something must be said, what lies between is nearer than the last.
+    """
+    known, unknown = np.flatnonzero(is_known), np.flatnonzero(~is_known)
+    if not len(known) or not len(unknown):
+        return poses
+    at = interpolation_at(times[known], times[unknown])
+    at = at._replace(in_gap=np.zeros(len(unknown), bool))
+    bridged = jax.tree.map(np.array, poses)
+    between = _poses_at(jax.tree.map(lambda part: part[known], bridged), at)
+    for part, new in zip(bridged, between, strict=True):
+        part[unknown] = new
+    return bridged
+
+
+def _poses_at(poses: Pose, at: Interpolation) -> Pose:
+    position, quaternion, angles = (np.asarray(part, float) for part in poses)
     turned = quaternions(slerp(matrices(quaternion), at))
     parts: list[Any] = [lerp(position, at), turned, lerp(angles, at)]
-    return replace(motion, times=times, poses=Pose(*parts), report=None)
+    return Pose(*parts)
 
 
 def is_gap(times: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ from jaxmocap.evidence.appearance.learned import ROWS
 from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.resampling import bridge_poses
 from jaxmocap.geometry.rows import GatheredRows
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.settings import Settings
@@ -64,6 +65,12 @@ def scan_events(
         began = clock.keep(stage, began, among)
         show(len(about), len(times))
     poses, reports = gathered.tree
+    if tracker.settings.smooth:
+        # A pose that is held while nothing is measured is no start for what goes on meanwhile.
+        is_known = np.isfinite(events.markers_world).all(-1).any(-1)
+        bridged = (bridge_poses(times, each, is_known) for each in (poses, reports.marker_pose))
+        poses, marker_pose = bridged
+        reports = reports._replace(marker_pose=marker_pose)
     if about_images:
         about = [own + images for own, images in zip(about, about_images, strict=True)]
     return _first_pass(events, poses, reports, about)

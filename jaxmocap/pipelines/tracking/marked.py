@@ -27,6 +27,7 @@ from jaxmocap.calibration.fitting.marker_poses import FAR_TAILS, FIT_POSES, TAIL
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.formats.marker_sets.sets import determine_body
 from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.resampling import bridge_poses
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.step import PLACE
 from jaxmocap.hybrid.tracker import HybridTracker
@@ -91,13 +92,18 @@ def follow_markers(
         model = fitted_model(model, jax.tree.map(jnp.asarray, person.person))
         fit = FIT_POSES(model, person.poses, markers[chosen], _tails(model, TAILS))
         off_cm = [100 * np.nanmedian(np.asarray(each.distances)) for each in (before, fit)]
+        # Of fewer some are chosen several times.
+        count = len(np.unique(chosen))
         sentence = (
-            f"bone lengths and the places of {markers.shape[1]} markers, to {len(chosen)} samples: "
+            f"bone lengths and the places of {markers.shape[1]} markers, to {count} samples: "
             f"off by {off_cm[0]:.1f} cm before, {off_cm[1]:.1f} cm after (median)"
         )
     other = copy(tracker)
     other.model = model
     poses = _along(model, markers, chosen, fit.poses, show)
+    if not causal:
+        is_known = np.isfinite(markers).all(-1).any(-1)
+        poses = bridge_poses(events.timeline.event_times, poses, is_known)
     each = jax.tree.map(np.asarray, (poses, markers))
     (variances,) = in_batches(partial(LANDMARK_VARIANCES, model, covariance), each, SAMPLES)
     first = _first_pass(events, other, poses)
