@@ -67,7 +67,7 @@ def smooth_markers(
     found = smooth_poses(own, at, FINELY).trajectory
     if why:
         # Fewer events a second share what errs alike for long.
-        share = mean_step(own.times) / mean_step(first_pass.times)
+        share = mean_step(own.times) / mean_step(first_pass.times) if count > 1 else 1.0
         fewer = replace(own, settings=with_lasting(own.settings, share**-0.5))
         found = leave_one_out(fewer, found, FINELY[-1], lambda done: show(0.5 * done))
     show(0.5 if len(some) < count else 0.9)

@@ -95,6 +95,8 @@ def test_why_of_a_few_samples_leaves_out_what_determines_nothing(recording, coun
                   positions_world=recording.positions_world[:count])  # fmt: skip
     report = track_both(few, why=True).motion.report
     assert np.isfinite(report.landmarks_std).all()
+    left_out = report.settings["deviations_without_m"]
+    assert all(np.isfinite(own["nothing"]) for own in left_out.values())
 
 
 # Centimetres of one person by habits of the five others; without habits elbows are 6.6 off.
