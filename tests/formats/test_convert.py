@@ -195,6 +195,10 @@ def test_what_cannot_be_converted_is_refused_in_one_sentence(folder, recordings)
     shifted = shifted[:i] + "OFFSET 0.05 0.2 0.0" + shifted[shifted.index("\n", i) :]
     (folder / "e.bvh").write_text(shifted)
     assert "left_collar starts elsewhere" in refused("e.bvh", "b.npz")
+    # A rest pose whose arms hang: joints would be where they are, angles 90 degrees off.
+    i = text.index("OFFSET", text.index("JOINT left_elbow"))
+    (folder / "f.bvh").write_text(text[:i] + "OFFSET 0 -0.3 0" + text[text.index("\n", i) :])
+    assert "not our T: humerus_l points 90° aside" in refused("f.bvh", "b.npz")
 
 
 def test_angles_are_written_in_degrees_without_jumps(folder):

@@ -37,6 +37,9 @@ from jaxmocap.geometry.rows import ComputedRows, Index
 T_POSE = {"arm_abduct_l": 90.0, "arm_abduct_r": 90.0}
 # How far a joint may lie from where our skeleton has it, metres.
 MAX_OFFSET_ERROR_M = 1e-3
+# How far a limb may point from where our T has it, radians: of another rest pose, such as one whose
+# arms hang, angles are others.
+LIMBS, MAX_REST_ERROR_RAD = ("humerus", "radius", "femur", "tibia"), np.radians(20)
 # How far a joint may be rotated from what our hinges can do, radians.
 MAX_ROTATION_ERROR_RAD = 1e-3
 
@@ -190,6 +193,10 @@ def _skeleton_of(
             raise InputError(path, problem)
     for bone, vector in bone_vectors.items():
         if (length := np.linalg.norm(vector)) > 0:
+            aside = np.arccos(np.clip(vector / length @ directions[bone], -1, 1))
+            if (name := skeleton.tree.bones[bone])[:-2] in LIMBS and aside > MAX_REST_ERROR_RAD:
+                problem = f"{name} points {np.degrees(aside):.0f}° aside"
+                raise InputError(path, f"the rest pose is not our T: {problem}")
             lengths[bone], directions[bone] = length, vector / length
     height = lengths.sum() / float(np.sum(np.asarray(Skeleton.human(1.0).lengths)))
     if not 0.5 <= height <= 2.5:
