@@ -314,6 +314,7 @@ def by_names(names: dict[str, str], person: np.ndarray) -> dict:
         ({"0.json": openpose(COMPLETE[:14])}, "found 14 points, expected those of BODY_25 (25)"),
         ({"0.json": openpose(COMPLETE), "1.json": openpose(COMPLETE[1:])}, "1.json: found 16 poi"),
         ({"0.json": openpose(COMPLETE / 640)}, "expected pixels (--keypoint_scale 0)"),
+        ({"0.json": openpose(COMPLETE / 300)}, "no coordinate beyond 4, expected pixels"),
         ({"a.json": openpose(COMPLETE)}, "a.json: found no frame number in its name"),
         ({f"{9**30}.json": openpose(COMPLETE)}, "found no frame number in its name"),
         ({"a_7.json": openpose(COMPLETE), "b_7.json": openpose(COMPLETE)}, "frame 7 is in a_7"),

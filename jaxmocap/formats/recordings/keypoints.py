@@ -26,6 +26,8 @@ from jaxmocap.formats.recordings.keypoint_models import MODELS, landmark_indices
 
 # Of everybody in all frames, 0.4 GB: half an hour of four people with 25 points at 60 Hz.
 MAX_POINTS = 16_000_000
+# OpenPose can write fractions of the image, and others do, of legs below it as well.
+_LARGEST_FRACTION = 4.0
 # A frame, or a person in it, takes as much memory as so many points, however few it has.
 _OVERHEAD_POINTS = 8
 
@@ -181,10 +183,9 @@ def _stacked_people(path: Path, frames: Sequence[KeypointFrame]) -> np.ndarray:
     for row, person in zip(stacked, people, strict=True):
         row[:, : person.shape[1]] = person
     detected_xy = stacked[stacked[..., 2] > 0, :2]
-    # OpenPose can write fractions of the image.
-    if detected_xy.size and np.abs(detected_xy).max() <= 1.0:
-        problem = "found no coordinate beyond -1 to 1, expected pixels (--keypoint_scale 0)"
-        raise InputError(path, problem)
+    if detected_xy.size and np.abs(detected_xy).max() <= _LARGEST_FRACTION:
+        problem = f"found no coordinate beyond {_LARGEST_FRACTION:g}"
+        raise InputError(path, f"{problem}, expected pixels (--keypoint_scale 0)")
     return stacked
 
 
