@@ -3,7 +3,6 @@
 INPUTS: a Skeleton and its Frames. OUTPUTS: Arms, left then right, and their flesh.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -221,21 +220,21 @@ def nearest_hinges(R: Array, axes: Array, near: Array) -> Array:
     return jnp.where(first <= second, wrapped[0], wrapped[1])
 
 
-def bent(hung: Hung, side: int, arm: Arms) -> Array:
+def bent(hung: Hung, arm: Arms) -> Array:
     """Joint angles (4,), shoulder to elbow, that bring one arm (no batch) to where it is.
 
     The elbow's hinge is across the plane of upper arm and forearm; of a straight arm it is open.
     Its shoulder's place does not count.
     """
     upper, fore = arm.elbow - arm.shoulder, arm.wrist - arm.elbow
-    local_upper, axis = hung.reaches[side, 0], hung.axes[side, 3]
+    local_upper, axis = hung.reaches[0], hung.axes[3]
     across = jnp.cross(upper, fore)
     # As much across as along: the angle between the two.
     elbow = jnp.arctan2(jnp.sqrt(jnp.sum(across**2) + 1e-12), jnp.sum(upper * fore))
     local = _upright(local_upper, axis)
     R_world_humerus = compose(_upright(upper, across).T, local)
-    R = compose(hung.R_world_carrier[side].T, R_world_humerus)
-    return jnp.append(nearest_hinges(R, hung.axes[side, :3], hung.angles[side, :3]), elbow)
+    R = compose(hung.R_world_carrier.T, R_world_humerus)
+    return jnp.append(nearest_hinges(R, hung.axes[:3], hung.angles[:3]), elbow)
 
 
 def _upright(along: Array, across: Array) -> Array:
@@ -284,20 +283,19 @@ def side_of(arms: Arms, side: int | Array) -> Arms:
 
 def turn_arms(arms: Arms, turns: Array | np.ndarray = TURNS) -> tuple[Arms, Array]:
     """Candidates (2, K) of both arms, and by how much (2, K) their shoulders give way."""
-
-    def of_turn(arm: Arms, turn: Array) -> tuple[Arms, Array]:
-        R = arm.R_world_radius
-        return turn_forearm(arm, compose(compose(R, exp(turn)), R.T))
-
     turns = jnp.asarray(turns, arms.elbow.dtype)
-    return jax.vmap(jax.vmap(of_turn, (None, 0)), (0, None))(arms, turns)
+    return jax.vmap(jax.vmap(_turn_arm, (None, 0)), (0, None))(arms, turns)
 
 
-def turned_angles(hung: Hung, turns: Array | np.ndarray = TURNS) -> Array:
-    """Joint angles (2, K, 4), shoulder to elbow, of both arms' candidates by turns (K, 3)."""
-    arms, _ = turn_arms(hung.arms, turns)
-    sides = [jax.vmap(partial(bent, hung, side))(side_of(arms, side)) for side in range(2)]
-    return jnp.stack(sides)
+def _turn_arm(arm: Arms, turn: Array) -> tuple[Arms, Array]:
+    """``turn_forearm`` by a rotation vector (3,) in the forearm's own frame, radians."""
+    R = arm.R_world_radius
+    return turn_forearm(arm, compose(compose(R, exp(turn)), R.T))
+
+
+def turned_angles(hung: Hung, arms: Arms) -> Array:
+    """Joint angles (2, K, 4), shoulder to elbow, of both arms' candidates (2, K)."""
+    return jax.vmap(jax.vmap(bent, (None, 0)))(hung, arms)
 
 
 def turn_pose(
@@ -309,7 +307,7 @@ def turn_pose(
 ) -> Pose:
     """A pose whose arms turn about their pivots by (2, 3), radians; 0 leaves an arm alone."""
     hung, dofs = hang(skeleton, pose, grip_sites, pivots), arm_dofs(skeleton.tree)
-    angles = jnp.stack([turned_angles(hung, turns[side, None])[side, 0] for side in range(2)])
+    angles = jax.vmap(bent)(hung, jax.vmap(_turn_arm)(hung.arms, turns)[0])
     moves = jnp.any(turns != 0, -1, keepdims=True)
     return pose._replace(
         angles=pose.angles.at[dofs].set(jnp.where(moves, angles, pose.angles[dofs]))

@@ -24,14 +24,14 @@ def compose(R_a_b: Numbers, R_b_c: Numbers) -> Numbers:
     Written out: of matrices this small a call to a product's routine costs more than the product,
     and what is written out melts into what is around it.
     """
-    first, *others = (R_a_b[..., i, None] * R_b_c[..., None, i, :] for i in range(R_a_b.shape[-1]))
+    parts = (slice(i, i + 1) for i in range(R_a_b.shape[-1]))
+    first, *others = (R_a_b[..., part] * R_b_c[..., part, :] for part in parts)
     return sum(others, start=first)
 
 
 def rotate(R_a_b: Numbers, vectors_b: Numbers) -> Numbers:
     """Turn (..., 3) vectors from frame b into frame a, at full precision."""
-    x, y, z = (R_a_b[..., i] * vectors_b[..., i, None] for i in range(3))
-    return x + y + z
+    return compose(R_a_b, vectors_b[..., None])[..., 0]
 
 
 def hat(vectors: Numbers) -> Numbers:

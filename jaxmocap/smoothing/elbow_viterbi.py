@@ -179,7 +179,8 @@ def candidates(
 
     def of_pose(pose: Pose, at: Array) -> tuple[Arms, Array]:
         hung = hang(skeleton, pose, model.grips, at)
-        (arms, slack), angles = turn_arms(hung.arms), turned_angles(hung)
+        arms, slack = turn_arms(hung.arms)
+        angles = turned_angles(hung, arms)
         away = (angles - skeleton.relaxed[dofs][:, None]) / usual[:, None]
         beyond = beyond_limits(ranges[:, None], angles) / settings.beyond_range
         slack = slack / settings.shoulder_slack

@@ -278,9 +278,10 @@ def test_a_window_that_begins_far_off_does_not_diverge(seed):
     )  # fmt: skip
     there = np.full((PLACES, *markers().shape[1:]), np.nan, np.float32)
     there[: len(numbers)] = markers()[numbers]
+    (device,) = smoother.model.skeleton.lengths.devices()
     for _ in range(6):
-        # No event leaves.
-        now = state._replace(given=np.int32(0), stated=np.int32(1))
+        # No event leaves. On the smoother's device: else all would compile once more.
+        now = jax.device_put(state._replace(given=np.int32(0), stated=np.int32(1)), device)
         after, found = smoother._advance(now, nothing_new(smoother), there, np.bool_(False))
         assert int(found.left) == 0
         state = after

@@ -118,8 +118,8 @@ def _bent_again(pose: Pose) -> tuple[Array, Array]:
     hung = hang(PERSON, pose, GRIPS)
 
     def joints(side: int) -> Array:
-        arm = jax.tree.map(lambda part: part[side], hung.arms)
-        angles = pose.angles.at[arm_dofs(PERSON.tree)[side]].set(bent(hung, side, arm))
+        own = jax.tree.map(lambda part: part[side], hung)
+        angles = pose.angles.at[arm_dofs(PERSON.tree)[side]].set(bent(own, own.arms))
         return forward(PERSON, pose._replace(angles=angles)).joints_world
 
     return forward(PERSON, pose).joints_world, jnp.stack([joints(side) for side in range(2)])

@@ -42,7 +42,9 @@ COUNT = 4
 # Cells by which the second nearest limb is away where no two limbs meet, blurred as they are.
 APART = 3.0
 STEP, ROUNDS = 1e-4, 2
-CHOSEN = Settings(smoothing=SETTINGS)
+# All solve until the steps are short, by one program.
+SETTLED = replace(SETTINGS, iterations=200)
+CHOSEN = Settings(smoothing=SETTLED)
 NUMBERS = (
     "upper arm", "trunk", "camera turned", "camera moved", "focal length", "marker moved",
 )  # fmt: skip
@@ -81,7 +83,7 @@ def test_silhouettes_put_the_elbows_where_they_are():
 @pytest.mark.parametrize("degrees", [2.0, 3.0])
 def test_the_minimum_is_that_of_a_recording_whose_lengths_are_sure(degrees):
     """Two valleys lie 0.8 mm apart at an elbow; from other starts each descent may take its own."""
-    surely = replace(SETTINGS, proportions=1e6, iterations=200)
+    surely = replace(SETTLED, proportions=1e6)
     given = problem(COUNT, views(COUNT, (0, 1)))
     given = replace(given, settings=weigh_by_time(surely, given.times))
     start = disturbed(COUNT, degrees)
@@ -130,27 +132,32 @@ def test_landmarks_follow_as_differences_between_minima_say():
         model, chosen, given = in_double(single)
         model = jax.tree.map(jnp.asarray, model)
 
-        @jax.jit
-        def motion(numbers: jax.Array, start: Pose) -> SmoothMotion:
+        def motion(start: Pose, numbers: jax.Array) -> SmoothMotion:
             return jaxmocap.smooth(stated(model, numbers), chosen, given._replace(poses=start))
+
+        still, way = jnp.zeros(len(NUMBERS)), jnp.asarray(WAY)
+
+        @jax.jit
+        def along_way(numbers: jax.Array, start: Pose) -> tuple[SmoothMotion, SmoothMotion]:
+            """A motion and its derivative: one program, since it is the compiler that takes long."""
+            return jax.jvp(partial(motion, start), (numbers,), (way,))
 
         def settled(numbers: jax.Array, poses: Pose) -> SmoothMotion:
             """A descent ends where steps are short: some more, from there on."""
             for _ in range(ROUNDS):
-                found = motion(numbers, poses)
+                found, _ = along_way(numbers, poses)
                 poses = found.poses
             return found
 
-        still, way = jnp.zeros(len(NUMBERS)), jnp.asarray(WAY)
         start = settled(still, given.poses).poses
         ahead, behind = (settled(sign * STEP * way, start).points for sign in (1, -1))
         expected = np.asarray(ahead - behind) / (2 * STEP)
+        actual = along_way(still, start)[1].points
 
-        def points(numbers: jax.Array) -> jax.Array:
-            return motion(numbers, start).points
-
-        actual = jax.jit(lambda way: jax.jvp(points, (still,), (way,))[1])(way)
         # JAX turns the same derivative round.
+        def points(numbers: jax.Array) -> jax.Array:
+            return motion(start, numbers).points
+
         (back,) = jax.eval_shape(lambda pull: jax.vjp(points, still)[1](pull), actual)
     assert np.abs(expected).max() > 0.01
     np.testing.assert_allclose(actual, expected, atol=1e-4 * np.abs(expected).max())
