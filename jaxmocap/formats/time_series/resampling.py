@@ -144,20 +144,20 @@ def resample_motion(motion: Motion, times: np.ndarray) -> Motion:
     return replace(motion, times=times, poses=poses, report=None)
 
 
-def bridge_poses(times: np.ndarray, poses: Pose, is_known: np.ndarray) -> Pose:
-    """Poses (T, ...) of which those that are not known (T,) lie between their neighbours that are.
+def bridge_poses(times: np.ndarray, poses: Pose, is_measured: np.ndarray) -> Pose:
+    """Poses (T, ...), those without a measurement (T,) between their neighbours that have one.
 
-    However long it takes: where something must be said, what lies between is nearer than the last.
+    However long it takes: what lies between is nearer than the last one.
     """
-    known, unknown = np.flatnonzero(is_known), np.flatnonzero(~is_known)
-    if not len(known) or not len(unknown):
+    measured, missing = np.flatnonzero(is_measured), np.flatnonzero(~is_measured)
+    if not len(measured) or not len(missing):
         return poses
-    at = interpolation_at(times[known], times[unknown])
-    at = at._replace(in_gap=np.zeros(len(unknown), bool))
+    at = interpolation_at(times[measured], times[missing])
+    at = at._replace(in_gap=np.zeros(len(missing), bool))
     bridged = jax.tree.map(np.array, poses)
-    between = _poses_at(jax.tree.map(lambda part: part[known], bridged), at)
+    between = _poses_at(jax.tree.map(lambda part: part[measured], bridged), at)
     for part, new in zip(bridged, between, strict=True):
-        part[unknown] = new
+        part[missing] = new
     return bridged
 
 

@@ -67,8 +67,8 @@ def scan_events(
     poses, reports = gathered.tree
     if tracker.settings.smooth:
         # A pose that is held while nothing is measured is no start for what goes on meanwhile.
-        is_known = np.isfinite(events.markers_world).all(-1).sum(1) > 0
-        bridged = (bridge_poses(times, each, is_known) for each in (poses, reports.marker_pose))
+        is_measured = np.isfinite(events.markers_world).all(-1).sum(1) > 0
+        bridged = (bridge_poses(times, each, is_measured) for each in (poses, reports.marker_pose))
         poses, marker_pose = bridged
         reports = reports._replace(marker_pose=marker_pose)
     if about_images:

@@ -102,8 +102,8 @@ def follow_markers(
     other.model = model
     poses = _along(model, markers, chosen, fit.poses, show)
     if not causal:
-        is_known = np.isfinite(markers).all(-1).sum(1) > 0
-        poses = bridge_poses(events.timeline.event_times, poses, is_known)
+        is_measured = np.isfinite(markers).all(-1).sum(1) > 0
+        poses = bridge_poses(events.timeline.event_times, poses, is_measured)
     each = jax.tree.map(np.asarray, (poses, markers))
     (variances,) = in_batches(partial(LANDMARK_VARIANCES, model, covariance), each, SAMPLES)
     first = _first_pass(events, other, poses)
