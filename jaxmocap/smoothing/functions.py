@@ -34,13 +34,13 @@ from jaxmocap.compilation.arguments import check_kind, check_shape, floating, is
 from jaxmocap.evidence.expansion import expand_terms
 from jaxmocap.evidence.shapes import check_measurements, check_pose, in_precision
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
-from jaxmocap.evidence.smoothness import REACH, second_differences
+from jaxmocap.evidence.smoothness import second_differences
 from jaxmocap.evidence.terms import Measurements, residuals
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.smoothing.linearise import SilhouettesFit, silhouettes_fit
 from jaxmocap.smoothing.settings import SmoothingSettings, weigh_by_time
-from jaxmocap.smoothing.window.elimination import Evidence, MarginalPrior, eliminate, steps_of
-from jaxmocap.smoothing.window.solving import SOFTNESS
+from jaxmocap.smoothing.window.solving import LEAST_APART_S, SOFTNESS
+from jaxmocap.smoothing.window.velocities import TiedEvents, solve_steps
 from jaxmocap.solvers.descent import tree_where
 from jaxmocap.solvers.optimum import LEAST_CURVATURE, following
 
@@ -156,13 +156,22 @@ def smooth_events(model: Model, settings: SmoothingSettings, events: Events) -> 
         settings: of smoothing; their terms take part that find their measurements.
         events: T of them, 3 at least.
     """
-    settings = weigh_by_time(settings, events.times)
+    times = _apart(events.times)
+    settings = weigh_by_time(settings, times)
     silhouettes = events.silhouettes and settings.silhouettes.weigh(events.silhouettes)
-    problem = _Problem(model, settings, events.times, events.measured, silhouettes)
+    problem = _Problem(model, settings, times, events.measured, silhouettes)
     constant, start = jax.lax.stop_gradient((problem, events.poses))
     poses = following(_move_minimum, problem, jax.lax.stop_gradient(_descend(constant, start)))
     points = jax.vmap(partial(landmarks, model.skeleton))(poses)
     return SmoothMotion(events.times, poses, points)
+
+
+def _apart(times: Array) -> Array:
+    """(T,) seconds, in single precision at least ``LEAST_APART_S`` apart."""
+    if times.dtype == jnp.float64:
+        return times
+    steps = jnp.maximum(jnp.diff(times), LEAST_APART_S)
+    return times[0] + jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps)])
 
 
 def _move_minimum(problem: _Problem, poses: Pose) -> Pose:
@@ -178,11 +187,11 @@ def _move_minimum(problem: _Problem, poses: Pose) -> Pose:
     # Where hardly any curvature is left, single precision cannot tell how much.
     less = still._replace(hessian=(1 - LEAST_CURVATURE) * still.hessian)
     is_curved = jnp.all(
-        jnp.isfinite(_solve_step(_about(problem, less, no_damping + 1), no_damping))
+        jnp.isfinite(solve_steps(_about(problem, less, no_damping + 1), no_damping))
     )
     evidence = _about(problem, still, is_curved.astype(change.dtype))
     evidence = jax.lax.stop_gradient(evidence)._replace(gradient=change)
-    return retract(poses, _solve_step(evidence, no_damping))
+    return retract(poses, solve_steps(evidence, no_damping))
 
 
 def _cost(problem: _Problem, poses: Pose) -> Array:
@@ -262,13 +271,11 @@ def _draw_silhouettes(problem: _Problem, poses: Pose, exactly: bool = False) -> 
     return jax.lax.map(of_event, (poses, problem.silhouettes))
 
 
-def _about(problem: _Problem, slopes: _Slopes, curved: Array) -> Evidence:
+def _about(problem: _Problem, slopes: _Slopes, curved: Array) -> TiedEvents:
     """What a step solves: Newton's equations, or with ``curved`` 0 Gauss-Newton's."""
-    ties = jnp.pad(_stencil(problem), ((0, REACH), (0, 0)))
-    # The prior's own slope is in the gradient.
-    no_points = jnp.zeros(slopes.jacobian.shape[:2], curved.dtype)
-    hessian = slopes.hessian + curved * slopes.bending
-    return Evidence(hessian, slopes.gradient, no_points, slopes.jacobian, ties)
+    hessian, intervals = slopes.hessian + curved * slopes.bending, jnp.diff(problem.times)
+    stencil = _stencil(problem)
+    return TiedEvents(intervals, hessian, slopes.gradient, slopes.jacobian, stencil)
 
 
 def _step(problem: _Problem, slopes: _Slopes, damping: Array) -> Array:
@@ -283,18 +290,10 @@ def _step(problem: _Problem, slopes: _Slopes, damping: Array) -> Array:
 
     def solve(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         curved = carry[0] - 1
-        return curved, _solve_step(_about(problem, slopes, curved), damping)
+        return curved, solve_steps(_about(problem, slopes, curved), damping)
 
     first = jnp.full((), 2.0, damping.dtype), jnp.full_like(slopes.gradient, jnp.nan)
     return jax.lax.while_loop(unsound, solve, first)[1]
-
-
-def _solve_step(evidence: Evidence, damping: Array) -> Array:
-    """The step (T, N); not finite where the Hessian is not positive."""
-    count, size = evidence.gradient.shape
-    nothing = MarginalPrior.none(size, damping.dtype)
-    eliminated = eliminate(evidence, nothing, jnp.full(size, damping), count, attempts=1)
-    return steps_of(eliminated, count)
 
 
 class _Steps(NamedTuple):

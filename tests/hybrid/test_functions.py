@@ -417,6 +417,26 @@ def test_a_smoothed_motion_is_near_the_truth(moving):
     assert off.max() < 0.04
 
 
+def test_single_precision_smooths_samples_that_come_as_fast_as_devices_send_them():
+    """240 a second, two of them less than a millisecond apart."""
+    times = np.sort(np.append(np.arange(24) / 240, 0.0503))
+    truth = table_tennis(2.0, seed=0).landmarks(times)
+    markers = np.stack([truth[name] for name in NAMES], 1)
+    model = tracked_model()
+    poses = jax.vmap(SOLVE, (None, None, 0))(model, CHOSEN, jnp.asarray(markers, jnp.float32))
+    measured = references(model.skeleton, times, jax.tree.map(np.asarray, poses))
+    measured |= {"markers": markers, "elbows": np.full((len(times), 2, 3), np.nan)}
+    measured = on_device(measured, jnp.float32)
+
+    def smoothed(stretch):
+        person = model.with_lengths(humerus_r=0.3 + stretch)
+        return jaxmocap.smooth(person, CHOSEN, Events(times, measured, poses)).points
+
+    points, slope = jax.jit(lambda: jax.jvp(smoothed, (0.0,), (1.0,)))()
+    off = np.linalg.norm(points[:, ROWS] - markers, axis=-1)
+    assert off.max() < 0.02 and np.isfinite(slope).all()
+
+
 def test_landmarks_are_by_name():
     points = np.asarray(jaxmocap.landmarks(tracked_model(), on_device(TRUTH)))
     sites = landmark_sites(PERSON, ("knee_r",))

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections import Counter
+from contextlib import suppress
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -18,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import complaint
+from pythonosc.osc_packet import OscPacket
 from small_recording import PLACES
 from test_live_disk import contents, live_setup
 from test_live_run import Standing, small_setup
@@ -207,6 +209,35 @@ def test_a_run_whose_recording_fails_goes_on_and_says_so_once(tmp_path, monkeypa
         f"{tmp_path / 'out' / 'markers.csv'}: cannot be written any more (No space left on device)"
     )
     assert output.getvalue().count("cannot be written any more") == 1
+
+
+def test_a_pose_that_takes_long_does_not_tell_receivers_that_nobody_is_tracked(
+    tmp_path, monkeypatch
+):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.setblocking(False)
+        setup = small_setup(tmp_path, Address("127.0.0.1", receiver.getsockname()[1]))
+        live = Live(replace(setup, videos=()), status=LiveStatus(StringIO()))
+        usual, taken = live.tracking.sample, []
+
+        def slow(sample):
+            taken.append(sample)
+            time.sleep(0.5 if len(taken) == 1 else 0.0)
+            return usual(sample)
+
+        monkeypatch.setattr(live.tracking, "sample", slow, raising=False)
+        stop = threading.Event()
+        threading.Thread(target=send_markers, args=(live.address, stop), daemon=True).start()
+        live.run(seconds=1.0)
+        stop.set()
+        status = []
+        with suppress(BlockingIOError):
+            while True:
+                packet = OscPacket(receiver.recv(65536))
+                status += [m.message for m in packet.messages if m.message.address == "/VMC/Ext/OK"]
+    is_tracked = [message.params[3] for message in status]
+    assert 1 in is_tracked and 0 not in is_tracked[is_tracked.index(1) :]
 
 
 def test_a_fault_within_the_run_closes_the_recording_all_the_same(tmp_path, monkeypatch):

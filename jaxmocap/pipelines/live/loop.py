@@ -148,7 +148,7 @@ class Live:
             self._senders.append((table.sender(self._body), to))
         self.tracking = LiveTracking(setup, settings, smooth)
         ending.callback(self.tracking.close)
-        self._deviations, self._newest_sample = np.full(2, np.nan), -np.inf
+        self._deviations = np.full(2, np.nan)
         self._last_heartbeat, self._ended, self._frames_shown = 0.0, 0.0, {}
 
     @property
@@ -172,7 +172,7 @@ class Live:
     def run(self, seconds: float | None = None, stop: threading.Event | None = None) -> dict:
         """Run until stopped, or so many seconds; figures of the run."""
         stop = stop or threading.Event()
-        self._began, self._newest_sample = monotonic(), -np.inf
+        self._began = monotonic()
         sources = (self._source, *self._cameras)
         with self._ending, _short_switch_interval():
             try:
@@ -203,7 +203,6 @@ class Live:
         taken = self._inbox.take(0.05, self._pace is None or self._pace.is_due(began))
         took = self._now()
         if isinstance(taken, MarkerSample):
-            self._newest_sample = taken.arrived
             self._reach.add(taken)
             outputs = self.tracking.sample(taken)
         else:
@@ -216,7 +215,10 @@ class Live:
         for output in outputs:
             self._send(output)
         now = self._now()
-        if now - self._newest_sample > SILENT_S and now - self._last_heartbeat > HEARTBEAT_S:
+        # Not by the newest sample that was tracked: a step that takes long loses nobody.
+        came = self._source.last_arrival
+        is_silent = came is None or now - came > SILENT_S
+        if is_silent and now - self._last_heartbeat > HEARTBEAT_S:
             self._last_heartbeat = now
             for sender, to in self._senders:
                 to.send(sender.lost_messages(now))

@@ -76,20 +76,15 @@ class Eliminated(NamedTuple):
 
 
 def eliminate(
-    evidence: Evidence,
-    marginal: MarginalPrior,
-    ridge: Array,
-    count: Array | int,
-    attempts: int = ATTEMPTS,
+    evidence: Evidence, marginal: MarginalPrior, ridge: Array, count: Array | int
 ) -> Eliminated:
-    """The first so many events in turn; with a static ``count`` differentiable by gradients alone.
+    """The first so many events in turn.
 
     Args:
         evidence: of E events.
         marginal: about the first two.
         ridge: (N,) curvature that holds each unknown back.
         count: ().
-        attempts: at a factor, each with a higher floor; what has none is not finite.
     """
     size = len(ridge)
     added = (0, size)
@@ -105,11 +100,10 @@ def eliminate(
         b = jnp.pad(rest.gradient, added) + _times(S, _times(stencil, there))
         A = A.at[:size, :size].add(evidence.hessian[i] + jnp.diag(ridge))
         b = b.at[:size].add(evidence.gradient[i])
-        L = _cholesky(A[:size, :size], attempts)
+        L = _cholesky(A[:size, :size])
         right = jnp.concatenate([A[:size, size:], b[:size, None]], 1)
         solved = solve_triangular(L, right, lower=True)
-        # What is on the right alone is differentiated.
-        W, y = jax.lax.stop_gradient(solved[:, :-1]), solved[:, -1]
+        W, y = solved[:, :-1], solved[:, -1]
         hessian = A[size:, size:] - _times(W.T, W)
         gradient = b[size:] - _times(y, W)
         own, ahead, pull, _ = so_far
@@ -172,13 +166,13 @@ def point_variances(eliminated: Eliminated, jacobian: Array, count: Array, chose
     return jnp.maximum(jnp.sum(_times(jacobian, covariance) * jacobian, 1), 0.0)
 
 
-def _cholesky(matrix: Array, attempts: int) -> Array:
+def _cholesky(matrix: Array) -> Array:
     """With a floor, and a higher one where that is not enough."""
     eye = jnp.eye(len(matrix), dtype=matrix.dtype)
 
     def fails(tried: tuple[Array, Array]) -> Array:
         attempt, L = tried
-        return (attempt < attempts) & ~jnp.all(jnp.isfinite(L))
+        return (attempt < ATTEMPTS) & ~jnp.all(jnp.isfinite(L))
 
     def again(tried: tuple[Array, Array]) -> tuple[Array, Array]:
         attempt, _ = tried
