@@ -38,7 +38,7 @@ def solve_steps(events: TiedEvents, damping: Array) -> Array:
         damping: () curvature that holds each unknown back.
     """
     size = events.gradient.shape[1]
-    # After the last event comes one of which nothing is known.
+    # The event after the last one has no terms.
     intervals = jnp.concatenate([events.intervals, jnp.ones_like(events.intervals[:1])])
     ties = jnp.pad(events.stencil, ((0, 2), (0, 0)))
     three = [jnp.roll(events.jacobian, -k, 0) for k in range(3)]
