@@ -88,13 +88,13 @@ def _local_transforms(skeleton: Skeleton, pose: Pose) -> Array:
     # A bone's joint lies at its parent's far end; without a parent, at the root.
     apart = (links.begins & (parents >= 0))[:, None]
     offsets = jnp.where(apart, (skeleton.lengths[:, None] * skeleton.directions)[parents], 0.0)
-    identity = jnp.eye(3, dtype=offsets.dtype)[None]
+    identity = np.eye(3, dtype=offsets.dtype)[None]
     stiff = jnp.broadcast_to(identity, (len(links.bones) - len(pose.angles), 3, 3))
     R_world_root = quaternion_to_matrix(pose.quaternion)[None]
     R = [identity, R_world_root, about_axis(skeleton.axes, pose.angles), stiff]
     p = [jnp.zeros_like(pose.position)[None], pose.position[None], offsets]
     T = jnp.concatenate([jnp.concatenate(R), jnp.concatenate(p)[:, :, None]], -1)
-    last = jnp.broadcast_to(jnp.eye(4, dtype=T.dtype)[3], (len(T), 1, 4))
+    last = jnp.broadcast_to(np.eye(4, dtype=T.dtype)[3], (len(T), 1, 4))
     return jnp.concatenate([T, last], 1)
 
 
@@ -115,7 +115,7 @@ def jacobian(
     """
     tree = skeleton.tree
     dtype = points_world.dtype
-    eye = jnp.eye(3, dtype=dtype)
+    eye = np.eye(3, dtype=dtype)
     axes = jnp.concatenate([eye, frames.axes_world])
     pivots = jnp.concatenate(
         [jnp.broadcast_to(frames.root, (3, 3)), frames.joints_world[np.array(tree.dof_bones)]]
@@ -141,7 +141,7 @@ def curvature(
     """
     tree = skeleton.tree
     J = jacobian(skeleton, frames, bones, points_world)
-    eye = jnp.eye(3, dtype=points_world.dtype)
+    eye = np.eye(3, dtype=points_world.dtype)
     axes = jnp.concatenate([jnp.zeros_like(eye), eye, frames.axes_world])
     carried = np.asarray(tree.carries)[:, bones].T[..., None]
     turned = jnp.where(carried, jnp.cross(forces[:, None], axes), 0.0)

@@ -191,7 +191,7 @@ class _Derivatives(NamedTuple):
         on_markers, landmarks, in_bones = jnp.split(J, [markers, markers + len(LANDMARKS)], 1)
         shares = skeleton.masses / jnp.sum(skeleton.masses)
         gravity = jnp.einsum("p,npi->ni", shares, in_bones, precision=HIGHEST)
-        every = jnp.eye(J.shape[0], dtype=points.dtype)
+        every = np.eye(J.shape[0], dtype=points.dtype)
         about = every[:, 3:ROOT_DOF]
         turned = jnp.matmul(hat(about), body.R_world_pelvis, precision=HIGHEST)
         half = jnp.pad(about / 2, ((0, 0), (1, 0)))
@@ -222,5 +222,5 @@ class _Derivatives(NamedTuple):
         # A turn w of the pelvis: R -> exp(hat(w)) R, and q -> exp(w / 2) q.
         M = jnp.matmul(body.R_world_pelvis, slope.R_world_pelvis.T, precision=HIGHEST)
         even = jnp.trace(M) + jnp.sum(slope.pose.quaternion * body.pose.quaternion) / 4
-        own = (M + M.T) / 2 - even * jnp.eye(3, dtype=S.dtype)
+        own = (M + M.T) / 2 - even * np.eye(3, dtype=S.dtype)
         return S.at[3:ROOT_DOF, 3:ROOT_DOF].add(own)

@@ -178,7 +178,7 @@ class EasyPosture(Term):
         """(6 + 2 + D, 6 + D)."""
         pose, last = body.pose, measured["last"]
         near, turn = self._nearness(model, last), _turn(pose, last.pose)
-        eye = jnp.eye(3, dtype=turn.dtype)
+        eye = np.eye(3, dtype=turn.dtype)
         turned = near[3:ROOT_DOF, None] * (turn[0] * eye + jnp.cross(eye, turn[1:]).T)
         lean = jnp.cross(eye, body.R_world_pelvis[:, 2]).T[:2] * self._righting(model)[:, None]
         _, weights = self._ease(model, last, near[ROOT_DOF:])
@@ -193,7 +193,7 @@ class EasyPosture(Term):
         pose, last = body.pose, measured["last"]
         turned = weights[3:ROOT_DOF] * self._nearness(model, last)[3:ROOT_DOF]
         lean = jnp.pad(weights[ROOT_DOF : ROOT_DOF + 2] * self._righting(model), (0, 1))
-        up, eye = body.R_world_pelvis[:, 2], jnp.eye(3, dtype=weights.dtype)
+        up, eye = body.R_world_pelvis[:, 2], np.eye(3, dtype=weights.dtype)
         both = jnp.outer(lean, up)
         away = jnp.sum(turned * _turn(pose, last.pose)[1:]) / 2 + jnp.sum(lean * up)
         N = model.skeleton.costs.size

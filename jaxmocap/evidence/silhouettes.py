@@ -264,7 +264,7 @@ def silhouette_hessian(
 
     slope, push = jax.linearize(uphill, jnp.zeros_like(leverage[..., 0]))
     # No cell belongs to two limbs: one direction of all limbs at once gives a row of each.
-    ways = jnp.broadcast_to(jnp.eye(6, dtype=slope.dtype)[:, None], (6, *slope.shape))
+    ways = jnp.broadcast_to(np.eye(6, dtype=slope.dtype)[:, None], (6, *slope.shape))
     blocks = jax.vmap(push, out_axes=2)(ways)
     H = jnp.einsum("kia,kij,kjb->ab", leverage, blocks, leverage, precision=HIGHEST)
     H += jax.jacfwd(lambda step: jnp.einsum("kia,ki->a", limbs(step)[0], slope, precision=HIGHEST))(

@@ -8,6 +8,7 @@ Products, ``exp`` and ``quaternion_from_matrix`` work alike with JAX and, on the
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxmocap.compilation.arrays import Numbers, namespace
@@ -46,7 +47,7 @@ def about_axis(axes: Array, angles: Array) -> Array:
     """Rotations (..., 3, 3) by ``angles`` (...), radians, about unit ``axes`` (..., 3)."""
     s, c = jnp.sin(angles)[..., None, None], jnp.cos(angles)[..., None, None]
     outer = axes[..., :, None] * axes[..., None, :]
-    return c * jnp.eye(3, dtype=axes.dtype) + s * hat(axes) + (1 - c) * outer
+    return c * np.eye(3, dtype=axes.dtype) + s * hat(axes) + (1 - c) * outer
 
 
 def exp(rotation_vectors: Numbers) -> Numbers:
@@ -58,7 +59,7 @@ def exp(rotation_vectors: Numbers) -> Numbers:
     b = xp.where(small, 0.5 - squared / 24, (1 - xp.cos(angle)) / angle**2)
     K = hat(rotation_vectors)
     K2 = compose(K, K)
-    return xp.eye(3, dtype=K.dtype) + a[..., None, None] * K + b[..., None, None] * K2
+    return np.eye(3, dtype=K.dtype) + a[..., None, None] * K + b[..., None, None] * K2
 
 
 def quaternion_exp(rotation_vectors: Array) -> Array:
@@ -93,7 +94,7 @@ def quaternion_to_matrix(quaternions: Array) -> Array:
     """(..., 4) quaternions, wxyz (normalised here), to (..., 3, 3) matrices."""
     q = quaternions / jnp.linalg.norm(quaternions, axis=-1, keepdims=True)
     w, K = q[..., 0, None, None], hat(q[..., 1:])
-    return jnp.eye(3, dtype=q.dtype) + 2 * w * K + 2 * compose(K, K)
+    return np.eye(3, dtype=q.dtype) + 2 * w * K + 2 * compose(K, K)
 
 
 def quaternion_from_matrix(R: Numbers) -> Numbers:

@@ -8,6 +8,7 @@ becomes when it goes on for a unit of time.
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxmocap.geometry import rotations
@@ -62,7 +63,7 @@ def _series(x: Array, coefficients: tuple[float, ...]) -> Array:
 def rigid(R: Array, t: Array) -> Array:
     """Matrices (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3): (3.5)."""
     top = jnp.concatenate([R, t[..., None]], -1)
-    last = jnp.broadcast_to(jnp.eye(4, dtype=R.dtype)[3:], (*R.shape[:-2], 1, 4))
+    last = jnp.broadcast_to(np.eye(4, dtype=R.dtype)[3:], (*R.shape[:-2], 1, 4))
     return jnp.concatenate([top, last], -2)
 
 

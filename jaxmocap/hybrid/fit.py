@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxmocap.body.arms import Arms, arm_dofs, arms_of, flesh, hang, swing
@@ -220,7 +221,7 @@ def _by_arm(function: Callable[[Array], Array], moves: Array) -> tuple[Array, Ar
     Forwards: what goes twice through pictures backwards takes twice as long to compile.
     """
     # One way of both arms at once.
-    ways = jnp.broadcast_to(jnp.eye(4, dtype=moves.dtype)[:, None], (4, *moves.shape))
+    ways = jnp.broadcast_to(np.eye(4, dtype=moves.dtype)[:, None], (4, *moves.shape))
     along = partial(jax.jvp, function, (moves,))
     return jax.vmap(lambda way: along((way,)), out_axes=(None, -1))(ways)
 
