@@ -139,7 +139,7 @@ def test_landmarks_follow_as_differences_between_minima_say():
 
         @jax.jit
         def along_way(numbers: jax.Array, start: Pose) -> tuple[SmoothMotion, SmoothMotion]:
-            """A motion and its derivative: one program, since it is the compiler that takes long."""
+            """A motion and its derivative: one program, since compiling takes long."""
             return jax.jvp(partial(motion, start), (numbers,), (way,))
 
         def settled(numbers: jax.Array, poses: Pose) -> SmoothMotion:
