@@ -157,7 +157,9 @@ def observe(
     """
     model, settings = check_arguments(model, settings, Settings)
     pose = check_pose("pose", model, pose)
-    each = images_of(model.cameras, [None] if images is None else images)
+    if model.cameras is None:
+        raise ValueError("model.cameras: found None, expected at least one camera")
+    each = images_of(model.cameras, images)
     region = _regions(model, settings, pose)
     fields, _ = edge_fields(settings, no_thresholds(model.camera_count), each, region)
     return _search_elbows(model, settings, pose, in_precision(model, fields))

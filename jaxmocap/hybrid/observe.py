@@ -37,8 +37,10 @@ def images_of(cameras: Camera | None, images: Any) -> list[np.ndarray | None] | 
     """
     if images is None:
         return None
-    one = isinstance(images, np.ndarray)
-    each: list[np.ndarray | None] = [images] if one else list(images)
+    each: list[np.ndarray | None] = [
+        image if image is None else np.asarray(image)
+        for image in ([images] if hasattr(images, "ndim") else images)
+    ]
     sizes = np.zeros((0, 2)) if cameras is None else np.asarray(cameras.size, float)
     if len(each) != len(sizes):
         raise ValueError(f"found {len(each)} images, expected one for each of the model's "
@@ -46,7 +48,7 @@ def images_of(cameras: Camera | None, images: Any) -> list[np.ndarray | None] | 
     for image, size in zip(each, sizes, strict=True):
         if image is None:
             continue
-        found = np.asarray(image).shape
+        found = image.shape
         if image.dtype != np.uint8 or found[2:] not in ((), (3,)):
             problem = f"found an image of shape {found} and {image.dtype}"
             raise ValueError(f"{problem}, expected (H, W) or (H, W, 3) of uint8")

@@ -126,6 +126,8 @@ def test_images_that_are_no_images_of_the_cameras_are_refused():
         assert found is image
     assert images_of(camera, grey)[0] is grey and images_of(None, []) == []
     assert images_of(camera, None) is None and images_of(camera, [None]) == [None]
+    for images in (jnp.asarray(grey), [jnp.asarray(grey)]):
+        assert [type(image) for image in images_of(camera, images)] == [np.ndarray]
     for images, sentence in (
         ([grey, grey], "found 2 images, expected one for each of the model's 1 cameras"),
         ([grey[::2, ::2]], "found an image of 320 × 240 pixels, calibrated for 640 × 480"),

@@ -352,6 +352,17 @@ def test_as_many_images_as_cameras_are_asked_for(scene):
         jaxmocap.observe(model, CHOSEN, pose, pictures(FRONT)[0])
 
 
+def test_without_images_a_pose_is_observed_by_any_number_of_cameras(scene):
+    model, poses, both = scene
+    with double():
+        pose, without = (jax.tree.map(lambda part: part[1], parts) for parts in (poses, both))
+        jax.tree.map(
+            np.testing.assert_array_equal, jaxmocap.observe(model, CHOSEN, pose, None), without
+        )
+    with pytest.raises(ValueError, match=r"model.cameras: found None"):
+        jaxmocap.observe(tracked_model(), CHOSEN, pose, None)
+
+
 # smooth ------------------------------------------------------------------------------------------
 
 
