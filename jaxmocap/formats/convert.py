@@ -174,6 +174,7 @@ def _write_markers(conversion: _Conversion, markers: Markers) -> None:
         markers = from_world(markers, Y_UP)
     columns = (3 if markers.orientations is None else 12) * len(markers.names)
     markers = _at_rate(conversion, markers, columns, resample_markers)
+    markers = replace(markers, rate=conversion.options.rate or markers.rate)
     if markers.orientations is not None and kind != ".csv":
         conversion.warnings.append(
             f"left out: the markers' orientations, which {kind} does not hold"

@@ -191,11 +191,14 @@ class RetargetedMotion(NamedTuple):
     def text(self, files: list[Path]) -> str:
         """The same figures, and the files, as lines of text."""
         figures = self.figures()
-        slide, height = (_centimetres(figures[name]) for name in ("slide_m_s", "height_error_m"))
+        errors, slide = figures["height_error_m"], figures["slide_m_s"]
+        ground = f"error of the feet's height {_centimetres(errors)}"
+        if slide is not None:
+            ground += f"; they slide {_centimetres(slide)} a second more"
         lines = [
             f"legs           {_centimetres(figures['legs_before_m'])} before, "
             f"{_centimetres(figures['legs_after_m'])} now",
-            f"on the ground  error of the feet's height {height}; they slide {slide} a second more",
+            f"on the ground  {ground}",
         ]
         return "\n".join([*lines, *(f"written        {path}" for path in files)])
 
@@ -260,5 +263,5 @@ def _mean(values: np.ndarray) -> float | None:
     return round(float(values.mean()), 4) if len(values) else None
 
 
-def _centimetres(metres: float | None) -> str:
-    return "never measured" if metres is None else f"{100 * metres:.1f} cm"
+def _centimetres(metres: float) -> str:
+    return f"{100 * metres:.1f} cm"

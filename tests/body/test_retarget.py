@@ -13,7 +13,12 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.cli.program import main
 from jaxmocap.formats.motion_npz import load_motion, save_motion
-from jaxmocap.pipelines.retarget import feet, ground_contacts, retarget_motion
+from jaxmocap.pipelines.retarget import (
+    RetargetedMotion,
+    feet,
+    ground_contacts,
+    retarget_motion,
+)
 
 PERSON = Skeleton.human(1.75)
 TIMES = np.arange(50) / 30
@@ -104,6 +109,9 @@ def test_poses_that_are_missing_stay_so_and_change_no_other():
         retarget_motion(replace(motion, poses=nobody), other)
     one = replace(motion, times=TIMES[:1], poses=Pose(*(part[:1] for part in motion.poses)))
     assert np.isfinite(retarget_motion(one, other).poses.position).all()
+    # Nothing slides within one sample.
+    text = RetargetedMotion(one, retarget_motion(one, other), None, None).text([])
+    assert text.endswith("error of the feet's height 0.0 cm")
 
 
 def test_the_command_writes_the_other_persons_motion(tmp_path, capsys):

@@ -18,6 +18,7 @@ from jaxmocap.formats.time_series import c3d
 from jaxmocap.formats.time_series.c3d import read_c3d, write_c3d
 from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.tables import Markers
+from jaxmocap.formats.time_series.trc import write_trc
 
 complaint = partial(problem_of, read_c3d)
 
@@ -58,6 +59,15 @@ def test_markers_survive_a_round_trip_with_gaps_and_times(tmp_path, markers):
     np.testing.assert_allclose(back.times, markers.times, rtol=1e-6)
     # 32-bit numbers hold 50 m to 4 micrometres.
     np.testing.assert_allclose(back.positions, markers.positions, rtol=2e-7, atol=2e-9)
+
+
+@pytest.mark.parametrize(("options", "time"), [([], 16.68), (["--rate", "1000"], 16.683)])
+def test_a_single_sample_stays_at_its_time(tmp_path, options, time):
+    """By the rate that --rate states, or the file's header."""
+    write_trc(tmp_path / "a.trc", np.array([16.683]), {"A": np.ones((1, 3))}, 50.0)
+    paths = [str(tmp_path / name) for name in ("a.trc", "a.c3d")]
+    assert main(["convert", *paths, *options]) == 0
+    np.testing.assert_allclose(read_c3d(paths[1]).times, [time], rtol=1e-6)
 
 
 def test_a_marker_at_the_origin_is_not_taken_for_a_missing_one(tmp_path):

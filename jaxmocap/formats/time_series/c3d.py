@@ -161,7 +161,7 @@ def _labels(names: list[str]) -> list[str]:
 def write_c3d(path: str | Path, markers: Markers) -> None:
     """Write a C3D file in millimetres, as 32-bit numbers, missing points with residual −1.
 
-    The first sample becomes the frame nearest to its time.
+    The first sample becomes the frame nearest to its time; a single one by the markers' own rate.
 
     Raises:
         InputError: times that are not evenly spaced or begin before 0, or more frames or longer
@@ -173,7 +173,8 @@ def write_c3d(path: str | Path, markers: Markers) -> None:
     times, table = stack_points(
         markers.times, markers.points(), "\r\n\0", path, _SMALLEST_MM * _METRES_PER_MM
     )
-    rate = even_rate(path, times)
+    is_alone = len(times) == 1
+    rate = markers.rate if is_alone and markers.rate else even_rate(path, times)
     first = round(times[0] * rate)
     if not 0 <= first <= first + len(times) <= MAX_FRAMES:
         problem = f"frames {first} to {first + len(times)} at {rate:g} Hz: C3D holds 0 to"
