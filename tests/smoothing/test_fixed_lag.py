@@ -262,6 +262,30 @@ def test_an_arm_that_is_lost_is_found_again():
     assert found[-8:].max() < 0.05
 
 
+def test_a_body_whose_arm_is_elsewhere_stays_where_it_was_before(monkeypatch):
+    """While no marker is measured nothing else holds it."""
+    smoother = smoother_of()
+    for i in range(8):
+        smoother.step(TIMES[i], markers()[i], [images()[i]], report(i))
+    none, far = np.zeros((2, 3, 3), np.float32), np.float32(1.0)
+    turn, pivots = np.zeros(3, np.float32), np.full(2, GRIP, np.int32)
+    found = ArmSearch(np.int32(0), turn, far, far, none, pivots)
+    monkeypatch.setattr(advancing, "search_arms", lambda *_: jax.tree.map(jnp.asarray, found))
+    monkeypatch.setattr(advancing, "RIVAL_GAIN", -1e9)
+    state = smoother._state
+    missing = {"markers": np.full_like(state.events.measured["markers"], np.nan)}
+    events = state.events._replace(measured=state.events.measured | missing)
+    within = smoother.model, smoother.settings
+    solved = jax.jit(partial(advancing._solve_window, *within))
+    own, rival = (
+        solved(state._replace(events=events, searched=np.int32(searched)))[1].poses
+        for searched in (0, advancing.SEARCH_EVERY - 1)
+    )
+    count = int(events.filled)
+    own, rival = (points_of(unpack(np.asarray(poses)[:count])) for poses in (own, rival))
+    np.testing.assert_allclose(rival, own, atol=0.02)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_window_that_begins_far_off_does_not_diverge(seed):
     """Derivatives tell little of a step of half a radian."""

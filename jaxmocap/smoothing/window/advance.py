@@ -157,12 +157,11 @@ def _solve_window(
         return jnp.zeros((), bool), state.arms_spread, events.poses
 
     is_tried, spread, there = jax.lax.cond(is_due, search, none)
-    # What a marginal prior says of its own window is no price of the other one.
+    # Its marginal prior says the same of a body whose arm was there all along: without one nothing
+    # would hold a body whose markers are missing.
     size = len(state.marginal.gradient) // REACH
-    rival = (
-        events._replace(poses=there), Drawn.never(len(events.since), size, dtype),
-        MarginalPrior.none(size, dtype),
-    )  # fmt: skip
+    undrawn = Drawn.never(len(events.since), size, dtype)
+    rival = events._replace(poses=there), undrawn, state.marginal
 
     def untried(carry: tuple) -> Array:
         attempt, *_ = carry
