@@ -191,7 +191,7 @@ class _Derivatives(NamedTuple):
         on_markers, landmarks, in_bones = jnp.split(J, [markers, markers + len(LANDMARKS)], 1)
         shares = skeleton.masses / jnp.sum(skeleton.masses)
         gravity = jnp.einsum("p,npi->ni", shares, in_bones, precision=HIGHEST)
-        every = np.eye(J.shape[0], dtype=points.dtype)
+        every = jnp.eye(J.shape[0], dtype=points.dtype)
         about = every[:, 3:ROOT_DOF]
         turned = jnp.matmul(hat(about), body.R_world_pelvis, precision=HIGHEST)
         half = jnp.pad(about / 2, ((0, 0), (1, 0)))
