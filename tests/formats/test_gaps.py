@@ -41,12 +41,12 @@ def test_a_gap_is_longer_than_half_a_second_and_five_samples(times, expected):
     assert is_gap(np.array(times)).tolist() == expected
 
 
-def test_poses_that_are_unknown_lie_between_their_neighbours_and_are_held_at_the_ends():
-    motion, is_known = with_gap(HOURS), np.ones(SAMPLES, bool)
-    is_known[[0, 1, -1]] = is_known[MIDDLE - 2 : MIDDLE + 3] = False
-    poses = resampling.bridge_poses(motion.times, motion.poses, is_known)
+def test_poses_without_a_measurement_lie_between_their_neighbours_or_repeat_the_end():
+    motion, is_measured = with_gap(HOURS), np.ones(SAMPLES, bool)
+    is_measured[[0, 1, -1]] = is_measured[MIDDLE - 2 : MIDDLE + 3] = False
+    poses = resampling.bridge_poses(motion.times, motion.poses, is_measured)
     for before, after in zip(motion.poses, poses, strict=True):
-        np.testing.assert_array_equal(after[is_known], before[is_known])
+        np.testing.assert_array_equal(after[is_measured], before[is_measured])
         np.testing.assert_allclose(after[[0, 1, -1]], before[[2, 2, -2]], atol=1e-6)
     ends = motion.poses.position[[MIDDLE - 3, MIDDLE + 3]]
     share = (motion.times - motion.times[MIDDLE - 3]) / np.ptp(

@@ -42,9 +42,7 @@ COUNT = 4
 # Cells by which the second nearest limb is away where no two limbs meet, blurred as they are.
 APART = 3.0
 STEP, ROUNDS = 1e-4, 2
-# All solve until the steps are short, by one program.
-SETTLED = replace(SETTINGS, iterations=200)
-CHOSEN = Settings(smoothing=SETTLED)
+CHOSEN = Settings(smoothing=SETTINGS)
 NUMBERS = (
     "upper arm", "trunk", "camera turned", "camera moved", "focal length", "marker moved",
 )  # fmt: skip
@@ -83,7 +81,7 @@ def test_silhouettes_put_the_elbows_where_they_are():
 @pytest.mark.parametrize("degrees", [2.0, 3.0])
 def test_the_minimum_is_that_of_a_recording_whose_lengths_are_sure(degrees):
     """Two valleys lie 0.8 mm apart at an elbow; from other starts each descent may take its own."""
-    surely = replace(SETTLED, proportions=1e6)
+    surely = replace(SETTINGS, proportions=1e6, iterations=200)
     given = problem(COUNT, views(COUNT, (0, 1)))
     given = replace(given, settings=weigh_by_time(surely, given.times))
     start = disturbed(COUNT, degrees)

@@ -40,7 +40,7 @@ class MarginalPrior(NamedTuple):
 
     def about(self, steps: Array) -> "MarginalPrior":
         """The same by further steps from steps (2, N)."""
-        return self._replace(gradient=self.gradient + _times(self.hessian, jnp.ravel(steps)))
+        return self._replace(gradient=self.gradient + multiply(self.hessian, jnp.ravel(steps)))
 
 
 class Evidence(NamedTuple):
@@ -96,16 +96,16 @@ def eliminate(
         # Where three events do not follow, these rows are others: the stencil is 0 there.
         stencil = evidence.stencil[i]
         S = (stencil[:, None, None] * tie).swapaxes(1, 2).reshape(-1, tie.shape[1])
-        A = jnp.pad(rest.hessian, (added, added)) + _times(S, S.T)
-        b = jnp.pad(rest.gradient, added) + _times(S, _times(stencil, there))
+        A = jnp.pad(rest.hessian, (added, added)) + multiply(S, S.T)
+        b = jnp.pad(rest.gradient, added) + multiply(S, multiply(stencil, there))
         A = A.at[:size, :size].add(evidence.hessian[i] + jnp.diag(ridge))
         b = b.at[:size].add(evidence.gradient[i])
         L = _cholesky(A[:size, :size])
         right = jnp.concatenate([A[:size, size:], b[:size, None]], 1)
         solved = solve_triangular(L, right, lower=True)
         W, y = solved[:, :-1], solved[:, -1]
-        hessian = A[size:, size:] - _times(W.T, W)
-        gradient = b[size:] - _times(y, W)
+        hessian = A[size:, size:] - multiply(W.T, W)
+        gradient = b[size:] - multiply(y, W)
         own, ahead, pull, _ = so_far
         return Eliminated(
             own.at[i].set(L), ahead.at[i].set(W), pull.at[i].set(y),
@@ -128,7 +128,7 @@ def steps_of(eliminated: Eliminated, count: Array | int) -> Array:
     def one(done: Array, steps: Array) -> Array:
         i = count - 1 - done
         later = jnp.ravel(jax.lax.dynamic_slice_in_dim(steps, i + 1, REACH))
-        right = pull[i] + _times(ahead[i], later)
+        right = pull[i] + multiply(ahead[i], later)
         return steps.at[i].set(-solve_triangular(own[i], right, lower=True, trans=1))
 
     still = jnp.zeros((events + REACH, size), pull.dtype)
@@ -154,16 +154,16 @@ def point_variances(eliminated: Eliminated, jacobian: Array, count: Array, chose
         """The covariance (2 N, 2 N) of an event and the next, from that of the two after it."""
         i = count - 1 - done
         inverse = solve_triangular(eliminated.own[i], eye, lower=True)
-        U = _times(inverse.T, eliminated.ahead[i])
-        across = -_times(U, ahead)
-        block = _times(inverse.T, inverse) - _times(across, U.T)
+        U = multiply(inverse.T, eliminated.ahead[i])
+        across = -multiply(U, ahead)
+        block = multiply(inverse.T, inverse) - multiply(across, U.T)
         block = (block + block.T) / 2
         beside = across[:, :size]
         return jnp.block([[block, beside], [beside.T, ahead[:size, :size]]])
 
     unknown = jnp.zeros((REACH * size, REACH * size), jacobian.dtype)
     covariance = jax.lax.fori_loop(0, count - chosen, one, unknown)[:size, :size]
-    return jnp.maximum(jnp.sum(_times(jacobian, covariance) * jacobian, 1), 0.0)
+    return jnp.maximum(jnp.sum(multiply(jacobian, covariance) * jacobian, 1), 0.0)
 
 
 def _cholesky(matrix: Array) -> Array:
@@ -183,5 +183,6 @@ def _cholesky(matrix: Array) -> Array:
     return jax.lax.while_loop(fails, again, (jnp.zeros((), jnp.int32), jnp.nan * matrix))[1]
 
 
-def _times(one: Array, other: Array) -> Array:
+def multiply(one: Array, other: Array) -> Array:
+    """Their matrix product, at full float32."""
     return jnp.matmul(one, other, precision=HIGHEST)

@@ -15,8 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.scipy.linalg import solve_triangular
 
-from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.smoothing.window.elimination import FLOOR
+from jaxmocap.smoothing.window.elimination import FLOOR, multiply
 
 
 class TiedEvents(NamedTuple):
@@ -38,8 +37,8 @@ def solve_steps(events: TiedEvents, damping: Array) -> Array:
         damping: () curvature that holds each unknown back.
     """
     size = events.gradient.shape[1]
-    # The event after the last one has no terms.
-    intervals = jnp.concatenate([events.intervals, jnp.ones_like(events.intervals[:1])])
+    # What comes after the last events has no terms, and ties nothing.
+    intervals = jnp.pad(events.intervals, (0, 2), constant_values=1.0)
     ties = jnp.pad(events.stencil, ((0, 2), (0, 0)))
     three = [jnp.roll(events.jacobian, -k, 0) for k in range(3)]
     own = events.hessian + damping * jnp.eye(size, dtype=damping.dtype)
@@ -47,52 +46,36 @@ def solve_steps(events: TiedEvents, damping: Array) -> Array:
     def eliminate(rest: tuple[Array, Array], event: tuple) -> tuple[tuple, tuple]:
         """What is about (x, v) to what is about (X, the next v)."""
         hessian, gradient = rest
-        h, tie, first, second, third, H, g = event
+        h, next_h, tie, first, second, third, H, g = event
         xx, xv, vv = hessian[:size, :size] + H, hessian[:size, size:], hessian[size:, size:]
         x, v = gradient[:size] + g, gradient[size:]
-        vX, nothing = xv.T - h * xx, jnp.zeros_like(xx)
-        A = jnp.block(
-            [
-                [vv - h * (xv + xv.T) + h * h * xx, vX, nothing],
-                [vX.T, xx, nothing],
-                [nothing, nothing, nothing],
-            ]
-        )
-        b = jnp.concatenate([v - h * x, x, jnp.zeros_like(x)])
+        vX = xv.T - h * xx
+        A = jnp.block([[vv - h * (xv + xv.T) + h * h * xx, vX], [vX.T, xx]])
+        A, b = jnp.pad(A, (0, size)), jnp.pad(jnp.concatenate([v - h * x, x]), (0, size))
         # The middle one of the tie's factors is minus the others' sum.
         before, after = tie[0] * h * first, tie[2] * third
         turning = tie[2] * (third - second) - tie[0] * (second - first)
-        S = jnp.concatenate([-before, turning, after * _next_interval(h, tie)], 1)
-        A += _times(S.T, S)
+        S = jnp.concatenate([-before, turning, next_h * after], 1)
+        A += multiply(S.T, S)
         # Of directions that no landmark shows only rounding would be left.
         floor = FLOOR * h * h + jnp.finfo(h.dtype).eps * jnp.max(jnp.diagonal(A)[:size])
         changing = A[:size, :size] + floor * jnp.eye(size, dtype=h.dtype)
         L = jnp.tril(jax.lax.linalg.cholesky(changing, symmetrize_input=False))
         W = solve_triangular(L, A[:size, size:], lower=True)
         y = solve_triangular(L, b[:size], lower=True)
-        left = A[size:, size:] - _times(W.T, W)
-        return ((left + left.T) / 2, b[size:] - _times(y, W)), (L, W, y)
+        left = A[size:, size:] - multiply(W.T, W)
+        return ((left + left.T) / 2, b[size:] - multiply(y, W)), (L, W, y)
 
     def step(later: Array, event: tuple) -> tuple[Array, Array]:
         """(X, the next v) to (x, v)."""
         h, L, W, y = event
-        v = -solve_triangular(L, y + _times(W, later), lower=True, trans=1)
+        v = -solve_triangular(L, y + multiply(W, later), lower=True, trans=1)
         x = later[:size] - h * v
         return jnp.concatenate([x, v]), x
 
     unknown = jnp.zeros((2 * size, 2 * size), own.dtype)
     start = unknown, jnp.zeros(2 * size, own.dtype)
-    each = intervals, ties, *three, own, events.gradient
+    each = intervals[:-1], intervals[1:], ties, *three, own, events.gradient
     _, factors = jax.lax.scan(eliminate, start, each)
     still = jnp.zeros(2 * size, own.dtype)
-    return jax.lax.scan(step, still, (intervals, *factors), reverse=True)[1]
-
-
-def _next_interval(h: Array, tie: Array) -> Array:
-    """The second of the intervals that a tie is over; 0 where there is none."""
-    is_tied = tie[2] > 0
-    return jnp.where(is_tied, h * tie[0] / jnp.where(is_tied, tie[2], 1.0), 0.0)
-
-
-def _times(one: Array, other: Array) -> Array:
-    return jnp.matmul(one, other, precision=HIGHEST)
+    return jax.lax.scan(step, still, (intervals[:-1], *factors), reverse=True)[1]
