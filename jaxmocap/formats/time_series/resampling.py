@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -153,8 +154,8 @@ def bridge_poses(times: np.ndarray, poses: Pose, is_measured: np.ndarray) -> Pos
         return poses
     at = interpolation_at(times[measured], times[missing])
     at = at._replace(in_gap=np.zeros(len(missing), bool))
-    bridged = Pose(*(np.array(part) for part in poses))
-    between = _poses_at(Pose(*(part[measured] for part in bridged)), at)
+    bridged = jax.tree.map(np.array, poses)
+    between = _poses_at(jax.tree.map(lambda part: part[measured], bridged), at)
     for part, new in zip(bridged, between, strict=True):
         part[missing] = new
     return bridged
