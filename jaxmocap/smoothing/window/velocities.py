@@ -1,7 +1,7 @@
 """A step of all events at once, by positions and velocities.
 
 The prior ties each pose to the next two, the more strongly the closer they are in time. By poses
-alone these ties cancel but for what is to be found, and at 200 events a second single precision has
+alone these ties cancel but for what is to be found, and at 240 events a second single precision has
 none of it left. So an event's unknowns are its step x and how fast that changes, v: the next one's
 is X = x + h v. Each v is eliminated in turn, and what is left is about X and the next velocity.
 
