@@ -43,6 +43,13 @@ AROUND_PX = 4
 FINEST = 32
 # Log-odds from which a pixel has its full weight.
 FULL_WEIGHT_ODDS = 2.0
+# An image whose brightness varies by less (of 255) shows nothing.
+BLANK_RANGE = 12
+
+
+def is_blank(image: np.ndarray) -> bool:
+    """Whether an image (H, W) or (H, W, 3) uint8 is black, or of one brightness all over."""
+    return bool(np.ptp(image[::8, ::8]) < BLANK_RANGE)
 
 
 def shrunk_size(size: tuple[int, int], rows: int) -> tuple[int, int]:

@@ -32,7 +32,7 @@ from jaxmocap.evidence.appearance.learned import (
 )
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.images.background_model import spread
-from jaxmocap.images.foreground import shrink
+from jaxmocap.images.foreground import is_blank, shrink
 from jaxmocap.images.silhouette_grid import blur_grid
 from jaxmocap.smoothing.elbow_viterbi import elbow_path, turn_arms_along
 from jaxmocap.smoothing.facing import facing_in_time, references
@@ -87,12 +87,13 @@ class CameraFrames:
     video: VideoFrames  # that they are of
 
     def images(self, chosen: np.ndarray) -> Iterator[np.ndarray | None]:
-        """The chosen (of F) frames, shrunk, BGR; None where one cannot be read."""
+        """The chosen (of F) frames, shrunk, BGR; None where one cannot be read or is blank."""
         wanted = self.indices[chosen]
         position = 0
         for index, (_, image) in enumerate(self.video.frames()):
             while position < len(wanted) and wanted[position] == index:
-                yield None if image is None else shrink(np.atleast_3d(image), ROWS)
+                is_missing = image is None or is_blank(image)
+                yield None if is_missing else shrink(np.atleast_3d(image), ROWS)
                 position += 1
             if position == len(wanted):
                 return

@@ -34,6 +34,7 @@ from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearance
 from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.evidence.markers import measured_noise
+from jaxmocap.images.foreground import is_blank
 from jaxmocap.smoothing.facing import RunningFacing
 from jaxmocap.smoothing.settings import LONGEST_STEP_S, SmoothingSettings
 from jaxmocap.smoothing.window.advance import Advanced, advance
@@ -153,7 +154,7 @@ class FixedLagSmoother:
             markers_world: (M, 3) metres; NaN where missing. Markers that were only extrapolated to
                 this time are left out: a frame without markers has them by the samples about it.
             images: a BGR (for colours to count) or grey uint8 frame per camera, None where there is
-                no new one.
+                no new one. One that is black, or of one brightness all over, counts as none.
             report: of the tracker's ``solve`` of these markers; not asked for where it
                 ``lies_between``.
             lines: (K, ...) to the key points of the new images, of cameras that have any.
@@ -162,6 +163,7 @@ class FixedLagSmoother:
             What is final now: of no event, or of some, in order.
         """
         final: list[SmoothedPose] = []
+        images = [None if each is None or is_blank(each) else each for each in images or ()]
         sample = Sample(self._count, float(time), np.asarray(markers_world))
         self._count += 1
         is_placed = report is not None and bool(report.placed)
@@ -308,7 +310,7 @@ class FixedLagSmoother:
 
     def _deviations(self, found: Advanced) -> np.ndarray:
         """(L, 3) of what is given out, metres."""
-        alike = ERRS_ALIKE if self.model.camera_count else ERRS_ALIKE_WITHOUT_VIDEO
+        alike = ERRS_ALIKE if self._is_seen else ERRS_ALIKE_WITHOUT_VIDEO
         # Poses follow markers as if these were measured as precisely as is stated.
         noise = self._noise_variance**0.5
         off = noise if noise > self.settings.markers.deviation else FADED_M

@@ -319,6 +319,17 @@ def test_black_and_unreadable_frames_are_tracked_through_with_warnings(spoilt):
     assert samples_with(motion, "cam: the video frame cannot be read") == [after[UNREAD]]
 
 
+def test_a_black_video_tells_nothing_of_the_elbows(tracked, causal):
+    times = np.arange(FRAMES) / VIDEO_RATE
+    black = with_frames(small_recording(), times, [np.full_like(image(0), 2)] * FRAMES)
+    for mode, lit in (("own", tracked.motion), ("causal", causal[0])):
+        motion = track(black, mode=mode, tracker=compiled())
+        unsure, sure = (each.report.elbow_deviations[-1] for each in (motion, lit))
+        assert (unsure > 2 * sure).all(), mode
+        assert motion.report.marker_errors.max() < 0.03
+        assert not samples_with(motion, "cam: nothing of the person is recognised")
+
+
 def test_a_jump_of_the_body_has_a_warning():
     recording = small_recording()
     positions = recording.positions_world.copy()

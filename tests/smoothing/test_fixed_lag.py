@@ -498,12 +498,17 @@ def test_missing_markers_images_and_grey_images_are_bridged(smoothed):
     assert elbow_errors(poses_of(out))[8:].mean() < 0.04
 
 
-def test_without_any_image_poses_come_out_all_the_same():
+def test_without_any_image_or_with_black_ones_poses_come_out_all_the_same(smoothed):
     out = steps([None] * COUNT)
     assert [each.number for each in joined(out)] == list(range(COUNT))
     assert all(each.from_prior[ELBOWS].all() for each in joined(out))
     # Not all of them at the end.
     assert len(joined(out[:-1])) > COUNT // 2
+    black = steps([np.full_like(image, 5) for image in images()])
+    for own, expected in zip(poses_of(joined(black)), poses_of(joined(out)), strict=True):
+        np.testing.assert_array_equal(own, expected)
+    unseen, seen = (joined(each)[-1].deviations[ELBOWS] for each in (black, smoothed))
+    assert (unseen > 1.5 * seen).all()
 
 
 def test_grey_images_will_do():
@@ -513,12 +518,12 @@ def test_grey_images_will_do():
 
 
 def test_silhouettes_without_weight_change_nothing():
-    dark, weights = [np.zeros_like(image) for image in images()], {"person": 0.0, "forearms": 0.0}
-    lit, unlit = (
+    weights = {"person": 0.0, "forearms": 0.0}
+    upright, turned = (
         poses_of(joined(steps(each, smoother=smoother_of(weights), count=8)))
-        for each in (images(), dark)
+        for each in (images(), [image[::-1] for image in images()])
     )
-    for own, expected in zip(lit, unlit, strict=True):
+    for own, expected in zip(upright, turned, strict=True):
         np.testing.assert_array_equal(own, expected)
 
 

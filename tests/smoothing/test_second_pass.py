@@ -179,13 +179,13 @@ def test_a_head_and_a_pelvis_have_no_weight():
         assert measured.forearms.weight[0, row, column] < 0.05 or name == "pelvis"
 
 
-def test_a_frame_that_cannot_be_read_has_no_weight(problems):
-    broken = images()
-    broken[0], broken[7] = None, None
+def test_a_frame_that_cannot_be_read_or_is_black_has_no_weight(problems):
+    broken, lost = images(), [0, 7, 12]
+    broken[0], broken[7], broken[12] = None, None, np.full_like(painted()[0].image, 3)
     second_pass(broken)
     for grid in grids(problems[-1]):
         heaviest = grid.weight.reshape(FRAMES, -1).max(1)
-        assert not heaviest[[0, 7]].any() and (np.delete(heaviest, [0, 7]) > 0.5).all()
+        assert not heaviest[lost].any() and (np.delete(heaviest, lost) > 0.5).all()
         assert np.isfinite(grid.probability).all()
 
 
@@ -231,6 +231,8 @@ def test_a_frame_that_serves_several_samples_has_a_view_for_each(problems):
 
 def test_frames_are_chosen_by_index_shrunk_and_repeated():
     tagged = [np.full((720, 960, 3), 10 * i, np.uint8) for i in range(6)]
+    for each in tagged:
+        each[360:] = 200
     video = MemoryVideo(np.arange(6) / 30, [*tagged[:4], None, tagged[5]])
     frames = CameraFrames(0, np.arange(7), np.array([0, 0, 1, 3, 3, 4, 5]), video)
     read = list(frames.images(np.arange(7)))
@@ -241,7 +243,7 @@ def test_frames_are_chosen_by_index_shrunk_and_repeated():
 
 
 def test_frames_beyond_the_videos_end_cannot_be_read():
-    video = MemoryVideo(np.arange(3) / 30, [np.zeros((72, 96, 3), np.uint8)] * 3)
+    video = MemoryVideo(np.arange(3) / 30, [room((96, 72))] * 3)
     frames = CameraFrames(0, np.arange(4), np.array([1, 2, 3, 4]), video)
     read = list(frames.images(np.arange(4)))
     assert [image is None for image in read] == [False, False, True, True]

@@ -26,11 +26,10 @@ from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.tables import usual_step
 from jaxmocap.hybrid.refine import StepReport
+from jaxmocap.images.foreground import is_blank
 from jaxmocap.outputs.report import SIDES
 from jaxmocap.solvers.status import SENTENCES, Status
 
-# An image whose brightness varies by less (of 255) shows nothing.
-BLANK_RANGE = 12
 # A frame further away than this many of its video's intervals is not near.
 NEAR_INTERVALS = 1.5
 
@@ -82,7 +81,7 @@ class RecordingEvents:
         for source, frame, image in zip(self.recording.videos, frames, images, strict=False):
             if frame >= 0 and image is None:
                 yield f"{source.camera_name}: the video frame cannot be read"
-            elif image is not None and np.ptp(image[::8, ::8]) < BLANK_RANGE:
+            elif image is not None and is_blank(image):
                 yield f"{source.camera_name}: the video frame is black or blank"
 
     def sample_warnings(self, of_events: Sequence[Sequence[str]]) -> Iterator[tuple[str, ...]]:

@@ -236,7 +236,15 @@ def _smooth_recording(
     if not model.camera_count or not (first.frame_index >= 0).any():
         return smooth_markers(model, settings, first, show, why)
     first = with_sight_lines(opened, events, first)
-    return smooth_recording(model, settings, first, cached_frames(opened.videos, ROWS), show, why)
+    videos = cached_frames(opened.videos, ROWS)
+    found = smooth_recording(model, settings, first, videos, show, why)
+    if found is None or found.unrecognised is None or first.sight_lines is not None:
+        return found
+    if not np.array_equal(found.unrecognised, first.frame_index >= 0):
+        return found
+    # In none of the frames is anything of the person.
+    alone = smooth_markers(model, settings, first, show, why)
+    return alone._replace(unrecognised=found.unrecognised)
 
 
 def _low_pass(events: RecordingEvents, poses: Pose, tracker: HybridTracker, cutoff: float) -> Pose:
