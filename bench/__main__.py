@@ -29,7 +29,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     result = command("bench", __doc__)
     add = result.add_argument
-    add("--quick", action="store_true", help="less than a minute: what the gate needs")
+    add("--quick", action="store_true", help="what the gate needs: half a minute of one core")
     add("--gate", action="store_true", help="exit 1 where a ratio stays worse than the baseline's")
     add("--only", choices=PARTS, help="one part; not with --gate")
     add("--recordings", metavar="DIR", type=Path, help="real recordings, for the headline's errors")

@@ -147,7 +147,7 @@ def measure(footage: Footage, quick: bool) -> Iterator[Metric]:
 
     Args:
         footage: of 640 x 480 pixels.
-        quick: this size alone, markers with and without video, and no second pass.
+        quick: this size and the default settings alone, and no second pass.
     """
     crops = both_arms(footage.recording, footage.camera, footage.times, footage.images)
 
@@ -169,7 +169,7 @@ def measure(footage: Footage, quick: bool) -> Iterator[Metric]:
     if not quick:
         yield from offline(tracker, footage, pace)
         yield from at_all_sizes(footage)
-    yield from otherwise(footage, ["none"] if quick else ["none", "gradient"])
+        yield from otherwise(footage)
 
 
 def starting(tracker: HybridTracker, footage: Footage) -> Iterator[Metric]:
@@ -266,15 +266,17 @@ def decoding(size: str, tracker: HybridTracker, footage: Footage) -> Iterator[Me
     yield from stage_metrics(f"{size}, causal step with a frame and decoding", pace.wall("frame"))
 
 
-def otherwise(footage: Footage, ways: list) -> Iterator[Metric]:
+def otherwise(footage: Footage) -> Iterator[Metric]:
     """Frame by frame without smoothing: markers only, and refined by gradients."""
-    for refine in ways:
-        settings = replace(Settings(), refine=refine, smooth=False)
+    image_at = footage.images.__getitem__
+    ways = {
+        "markers only": Settings(refine="none", smooth=False),
+        "gradient": Settings(refine="gradient", smooth=False),
+    }
+    for name, settings in ways.items():
         tracker = HybridTracker.from_recording(footage.recording, settings)
-        image_at = footage.images.__getitem__
         causal(tracker, footage, image_at)
         pace = causal(tracker, footage, image_at)
-        name = "markers only" if refine == "none" else refine
         yield from stage_metrics(f"640x480, {name}, step", pace.wall("frame"))
 
 

@@ -157,17 +157,22 @@ class PinocchioBody:
         return np.array(self.translations)
 
 
+def each(poses: Pose) -> Iterator[Pose]:
+    """One pose after the other, on the host: JAX takes long to hand over a row at a time."""
+    return (Pose(*pose) for pose in zip(*map(np.asarray, poses), strict=True))
+
+
 def in_mujoco(skeleton: Skeleton, poses: Pose) -> Callable[[], np.ndarray]:
     """One ``mj_kinematics`` after the other."""
     from bench.rival_ik import limited_mujoco, mujoco_points, mujoco_vector
 
     body = limited_mujoco(skeleton)
-    vectors = np.stack([mujoco_vector(body, Pose(*pose)) for pose in zip(*poses, strict=True)])
+    vectors = np.stack([mujoco_vector(body, pose) for pose in each(poses)])
     return lambda: np.stack([mujoco_points(body, q) for q in vectors])
 
 
 def in_pinocchio(skeleton: Skeleton, poses: Pose) -> Callable[[], np.ndarray]:
     """One ``framesForwardKinematics`` after the other."""
     body = PinocchioBody.of(skeleton)
-    vectors = np.stack([body.vector(Pose(*pose)) for pose in zip(*poses, strict=True)])
+    vectors = np.stack([body.vector(pose) for pose in each(poses)])
     return lambda: np.stack([body.points(q) for q in vectors])
