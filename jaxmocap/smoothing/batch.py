@@ -92,8 +92,10 @@ class CameraFrames:
         position = 0
         for index, (_, image) in enumerate(self.video.frames()):
             while position < len(wanted) and wanted[position] == index:
-                is_missing = image is None or is_blank(image)
-                yield None if is_missing else shrink(np.atleast_3d(image), ROWS)
+                if image is None or is_blank(image):
+                    yield None
+                else:
+                    yield shrink(np.atleast_3d(image), ROWS)
                 position += 1
             if position == len(wanted):
                 return
