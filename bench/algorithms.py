@@ -26,6 +26,7 @@ from bench.clock import Span, interleaved, ratio, timed
 from bench.figures import OF_OTHERS, Metric, stage_metrics
 from jaxmocap.capture.video import open_video
 from jaxmocap.evidence.markers import Goals
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.ik import goals_of
 from jaxmocap.hybrid.observe import edge_fields
@@ -208,7 +209,7 @@ def inverse_kinematics(recording: Recording, solves: int) -> Iterator[Metric]:
     ours, theirs, farthest = [], [], 0.0
     for turn, markers in enumerate(recording.positions_world[1 : solves + 2]):
         goals = goals_at(tracker, state, markers)
-        time, (pose, _) = timed(solve, {"goals": goals}, state.pose)
+        time, (pose, _) = timed(solve, Measurements(goals=goals), state.pose)
         # As NumPy arrays: fetching each of its numbers from JAX would take most of its time.
         plain = jax.tree.map(np.asarray, (model.skeleton, goals, settings, state.pose))
         theirs_took, (expected, _) = timed(reference_ik.reach, *plain)

@@ -156,7 +156,7 @@ def objective(model: Model, settings: Settings, markers: Array, start: Pose | No
         pose, feet, frames = start, standing(model, start), forward(model.skeleton, start)
     effort = effort_shares(model.skeleton, frames, settings.ik.augmented_body)
     goals = goals_of(model, settings.ik, feet, markers)
-    return Objective(pose, {"goals": goals, "last": LastPose(pose, effort, remembered)})
+    return Objective(pose, Measurements(goals=goals, last=LastPose(pose, effort, remembered)))
 
 
 def terms(settings: Settings) -> tuple:
@@ -174,7 +174,7 @@ def local(model: Model, settings: Settings, aim: Objective, pose: Pose) -> tuple
 @jax.jit
 def ours(model: Model, settings: Settings, aim: Objective) -> Pose:
     """Where ``solve`` ends."""
-    remembered = aim.measured["last"].remembered
+    remembered = aim.measured.last.remembered
     return reach(model, settings.ik, aim.measured, aim.start, remembered=remembered)
 
 

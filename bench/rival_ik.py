@@ -28,6 +28,7 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.markers import Goals
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.hybrid import ik
 from jaxmocap.hybrid.settings import IKSettings
 from tests.subjects.mujoco_body import MujocoBody
@@ -155,7 +156,7 @@ def ours(skeleton: Skeleton, start: Pose, settings: IKSettings) -> Follower:
 
     @jax.jit
     def solve(skeleton, settings, pose, targets):
-        measured = {"goals": Goals(sites, targets, weights)}
+        measured = Measurements(goals=Goals(sites, targets, weights))
         pose = ik.reach(Model.create(skeleton), settings, measured, pose)
         return pose, forward(skeleton, pose).joints_world[bones]
 

@@ -6,7 +6,7 @@ area is ``hybrid.paper.chamfer``.
 INPUTS: arms, cameras, the distance fields of their regions. OUTPUTS: costs, whitened residuals.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -61,6 +61,7 @@ class EdgeEvidence(Term):
     out towards the truncation.
     """
 
+    needs: ClassVar[tuple[str, ...]] = ("edges",)
     bend: Array = traced(
         0.005, "distance to an edge at which its price turns from square to straight, metres"
     )
@@ -108,7 +109,7 @@ class EdgeEvidence(Term):
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(2, C, 3, K): roots of twice the prices, weighted."""
-        edges = measured["edges"]
+        edges = measured.edges
         radii = model.skeleton.diameters[limb_bones(model.skeleton.tree)] / 2
         ends = body.landmarks[ARM_LANDMARKS]
         limbs = Cones(ends[:, :3], ends[:, 1:], radii)

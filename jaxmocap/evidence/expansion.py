@@ -8,6 +8,7 @@ INPUTS: terms, a Model, a pose, what was measured. OUTPUTS: whitened residuals, 
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -34,6 +35,7 @@ from jaxmocap.evidence.terms import (
     body_sites,
     joined_residuals,
     posed_body,
+    residual_of,
 )
 from jaxmocap.geometry.rotations import HIGHEST, hat, quaternion_multiply
 
@@ -63,7 +65,7 @@ def expand_terms(
     N = ROOT_DOF + pose.angles.size
     each, bending = [], jnp.zeros((N, N), pose.angles.dtype)
     for term in terms:
-        r, J = term.residual(model, body, measured), term.jacobian(model, body, measured)
+        r, J = residual_of(term, model, body, measured), term.jacobian(model, body, measured)
         S = term.curvature(model, body, measured, r) if bends and J is not None else None
         J = None if bends and S is None else J
         each.append((r.ravel(), J if J is None else J.reshape(-1, N)))
@@ -142,7 +144,8 @@ def linearise_term(
         pose: of the person.
         measured: of this moment.
     """
-    shape = jax.eval_shape(lambda: term.residual(model, posed_body(model, pose), measured)).shape
+    bare = partial(residual_of, term, model, measured=measured)
+    shape = jax.eval_shape(lambda: bare(posed_body(model, pose))).shape
     r, J, _ = expand_terms((term,), model, pose, measured, bends=False)
     return r.reshape(shape), J.reshape(*shape, J.shape[-1])
 
@@ -153,7 +156,7 @@ def residuals_and_pull(
     """All residuals (R,), and the derivative (6 + D,) of the residuals times weights (R,)."""
     body = posed_body(model, pose)._replace(frames=forward(model.skeleton, pose))
     N = ROOT_DOF + pose.angles.size
-    each = [term.residual(model, body, measured).ravel() for term in terms]
+    each = [residual_of(term, model, body, measured).ravel() for term in terms]
     own = jnp.split(weights, np.cumsum([r.size for r in each])[:-1])
     total, others = jnp.zeros(N, weights.dtype), []
     for term, w in zip(terms, own, strict=True):

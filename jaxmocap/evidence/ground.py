@@ -35,6 +35,7 @@ class Ground(Term):
     """Feet on the ground; measured ``ankles`` (2, 3) of the markers' pose, world, metres."""
 
     errors_last: ClassVar[bool] = True
+    needs: ClassVar[tuple[str, ...]] = ("ankles",)
     height: Array = traced(0.05, "of the height of ankles that no marker holds, metres")
     place: Array = traced(1.0, "of their place on the ground about the markers' pose's, metres")
 
@@ -43,7 +44,7 @@ class Ground(Term):
         if not model.no_foot_is_marked:
             return jnp.zeros(0, body.landmarks.dtype)
         deviations = jnp.stack([self.place, self.place, self.height])
-        return (body.landmarks[ANKLES] - measured["ankles"]) / deviations
+        return (body.landmarks[ANKLES] - measured.ankles) / deviations
 
 
 @settings
@@ -55,6 +56,7 @@ class AnkleRange(Term):
     """
 
     errors_last: ClassVar[bool] = True
+    needs: ClassVar[tuple[str, ...]] = ("ankles",)
     beyond: Array = traced(
         0.1, "of how far a shank leans beyond what the ankle of a flat foot allows, radians"
     )
@@ -67,7 +69,7 @@ class AnkleRange(Term):
         shanks, ahead = knees - ankles, body.R_world_pelvis[:2, 0]
         lean = jnp.sum(shanks[:, :2] * ahead, -1) / (length(shanks) * length(ahead))
         beyond = excess(jnp.stack([lean - FARTHEST_AHEAD, FARTHEST_BACK - lean], -1))
-        lifted = (ankles[:, 2:] - measured["ankles"][:, 2:]) / LIFTED_M
+        lifted = (ankles[:, 2:] - measured.ankles[:, 2:]) / LIFTED_M
         return beyond / (self.beyond * (1 + lifted**2))
 
 

@@ -149,9 +149,9 @@ class KeyPoints(Term):
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(C, L, 3); none where no camera comes with key points."""
-        if "sight_lines" not in measured:
+        if measured.sight_lines is None:
             return jnp.zeros(0, body.landmarks.dtype)
-        return line_residuals(body.landmarks, measured["sight_lines"], self.deviation)
+        return line_residuals(body.landmarks, measured.sight_lines, self.deviation)
 
 
 @settings
@@ -162,9 +162,9 @@ class EstimatedDepths(Term):
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(C, L); none where no camera comes with key points."""
-        if "sight_lines" not in measured:
+        if measured.sight_lines is None:
             return jnp.zeros(0, body.landmarks.dtype)
-        lines = measured["sight_lines"]
+        lines = measured.sight_lines
         hips = jnp.mean(body.landmarks[HIPS], 0)
         way = hips - lines.origin
         way = way / jnp.linalg.norm(way, axis=-1, keepdims=True)

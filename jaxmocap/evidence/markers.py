@@ -5,7 +5,7 @@ noisy markers are.
 """
 
 from math import comb
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -42,15 +42,16 @@ def off_targets(points: Array, targets: Array | np.ndarray) -> Array:
 class MarkerPositions(Term):
     """Markers on bones; measured ``markers`` (M, 3), world, metres, NaN where missing."""
 
+    needs: ClassVar[tuple[str, ...]] = ("markers",)
     deviation: Array = traced(0.004, "of a marker about its point on the body, metres")
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(M, 3)."""
-        return off_targets(body.markers, measured["markers"]) / self.deviation
+        return off_targets(body.markers, measured.markers) / self.deviation
 
     def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(M, 3, 6 + D)."""
-        present = are_present(measured["markers"])[:, None, None]
+        present = are_present(measured.markers)[:, None, None]
         return jnp.where(present, _jacobian(model, body, model.markers) / self.deviation, 0.0)
 
     @property
@@ -109,17 +110,18 @@ class Goals(NamedTuple):
 class PointGoals(Term):
     """Goals of inverse kinematics: markers, then feet that carry none; measured ``goals``."""
 
+    needs: ClassVar[tuple[str, ...]] = ("goals",)
     deviation: Array = traced(0.004, "of a marker about its point on the body, metres")
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(M, 3) of the goals' M points."""
-        goals = measured["goals"]
+        goals = measured.goals
         points = points_of(model.skeleton, body.pose, body.frames, goals.sites)
         return goals.weights[:, None] * goals.off(points) / self.deviation
 
     def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(M, 3, 6 + D): equation (4), with the goals' weights."""
-        goals = measured["goals"]
+        goals = measured.goals
         weights = (goals.weights / self.deviation)[:, None, None]
         return weights * _jacobian(model, body, goals.sites)
 
@@ -127,7 +129,7 @@ class PointGoals(Term):
         self, model: Model, body: PosedBody, measured: Measurements, weights: Array
     ) -> Array:
         """(6 + D, 6 + D)."""
-        goals = measured["goals"]
+        goals = measured.goals
         forces = (goals.weights / self.deviation)[:, None] * weights
         return _curvature(model, body, goals.sites, forces)
 
@@ -145,15 +147,15 @@ class ElbowGoals(Term):
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(2, 3); none where nothing was searched for."""
-        if "elbows" not in measured:
+        if measured.elbows is None:
             return jnp.zeros((0, 3), body.landmarks.dtype)
-        return off_targets(body.landmarks[ELBOWS], measured["elbows"]) / self.deviation
+        return off_targets(body.landmarks[ELBOWS], measured.elbows) / self.deviation
 
     def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(2, 3, 6 + D)."""
-        if "elbows" not in measured:
+        if measured.elbows is None:
             return jnp.zeros((0, 3, model.skeleton.costs.size), body.landmarks.dtype)
-        present = are_present(measured["elbows"])[:, None, None]
+        present = are_present(measured.elbows)[:, None, None]
         J = _jacobian(model, body, _elbow_sites(model))
         return jnp.where(present, J / self.deviation, 0.0)
 
@@ -161,9 +163,9 @@ class ElbowGoals(Term):
         self, model: Model, body: PosedBody, measured: Measurements, weights: Array
     ) -> Array:
         """(6 + D, 6 + D)."""
-        if "elbows" not in measured:
+        if measured.elbows is None:
             return jnp.zeros((model.skeleton.costs.size,) * 2, weights.dtype)
-        present = are_present(measured["elbows"])[:, None]
+        present = are_present(measured.elbows)[:, None]
         forces = jnp.where(present, weights / self.deviation, 0.0)
         return _curvature(model, body, _elbow_sites(model), forces)
 
@@ -205,7 +207,7 @@ class SearchedElbows(Term):
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(2, 3), with the tails of Student's t; none without a search."""
-        if "elbows" not in measured:
+        if measured.elbows is None:
             return jnp.zeros(0, body.landmarks.dtype)
-        away = (body.landmarks[ELBOWS] - measured["elbows"]) / self.deviation
+        away = (body.landmarks[ELBOWS] - measured.elbows) / self.deviation
         return shorten_residuals(away, TAILS)

@@ -82,6 +82,7 @@ class Pelvis(Term):
     """
 
     errors_last: ClassVar[bool] = True
+    needs: ClassVar[tuple[str, ...]] = ("upright", "facing")
     lean: Array = traced(
         0.1,
         "of its upright about that of the markers' pose, radians; where no marker holds the feet, "
@@ -94,9 +95,9 @@ class Pelvis(Term):
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(3,), or (4,) where no marker holds a foot."""
         R, unmarked = body.R_world_pelvis, model.no_foot_is_marked
-        turn = jnp.cross(R[:, 0], measured["facing"])[2:]
+        turn = jnp.cross(R[:, 0], measured.facing)[2:]
         facing = self.facing * (UNMARKED_FACING if unmarked else 1.0)
-        upright = R[:2, 2] - measured["upright"]
+        upright = R[:2, 2] - measured.upright
         upright = self._off_upright(body) if unmarked else upright / self.lean
         return jnp.concatenate([upright, turn / facing])
 
@@ -157,6 +158,7 @@ class EasyPosture(Term):
     sample.
     """
 
+    needs: ClassVar[tuple[str, ...]] = ("last",)
     relaxation: Array = traced(0.9, "gain of (9)")
     uprightness: Array = traced(0.1, "gain of the pull of the pelvis to the upright")
     memory: Array = traced(
@@ -165,7 +167,7 @@ class EasyPosture(Term):
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(6 + 2 + D,), less what no pose changes."""
-        pose, last = body.pose, measured["last"]
+        pose, last = body.pose, measured.last
         near = self._nearness(model, last)
         moved = (pose.position - last.pose.position) * near[:3]
         turned = 2 * _turn(pose, last.pose)[1:] * near[3:ROOT_DOF]
@@ -176,7 +178,7 @@ class EasyPosture(Term):
 
     def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(6 + 2 + D, 6 + D)."""
-        pose, last = body.pose, measured["last"]
+        pose, last = body.pose, measured.last
         near, turn = self._nearness(model, last), _turn(pose, last.pose)
         eye = np.eye(3, dtype=turn.dtype)
         turned = near[3:ROOT_DOF, None] * (turn[0] * eye + jnp.cross(eye, turn[1:]).T)
@@ -190,7 +192,7 @@ class EasyPosture(Term):
         self, model: Model, body: PosedBody, measured: Measurements, weights: Array
     ) -> Array:
         """(6 + D, 6 + D)."""
-        pose, last = body.pose, measured["last"]
+        pose, last = body.pose, measured.last
         turned = weights[3:ROOT_DOF] * self._nearness(model, last)[3:ROOT_DOF]
         lean = jnp.pad(weights[ROOT_DOF : ROOT_DOF + 2] * self._righting(model), (0, 1))
         up, eye = body.R_world_pelvis[:, 2], np.eye(3, dtype=weights.dtype)
@@ -230,6 +232,7 @@ def _turn(pose: Pose, origin: Pose) -> Array:
 class NearPose(Term):
     """A pose near another one, its pelvis near the vertical; measured ``centre``, a pose."""
 
+    needs: ClassVar[tuple[str, ...]] = ("centre",)
     shift: Array = traced(0.1, "of the pelvis about the centre, metres")
     turn: Array = traced(0.3, "of its orientation, radians")
     lean: Array = traced(0.15, "of the pelvis from the vertical, radians")
@@ -247,7 +250,7 @@ class NearPose(Term):
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(6 + D + 2,)."""
-        moved = difference(body.pose, measured["centre"])
+        moved = difference(body.pose, measured.centre)
         deviations = self.deviations(model.skeleton)
         return jnp.concatenate([moved / deviations, body.R_world_pelvis[:2, 2] / self.lean])
 
@@ -265,9 +268,11 @@ class EstimatedPose(NamedTuple):
 class NearEstimate(Term):
     """A pose as something else estimated it; measured ``estimate``, an ``EstimatedPose``."""
 
+    needs: ClassVar[tuple[str, ...]] = ("estimate",)
+
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(N,), N = 6 + D."""
-        estimate = measured["estimate"]
+        estimate = measured.estimate
         off = difference(body.pose, estimate.pose)
         return jnp.matmul(estimate.root, off, precision=HIGHEST) + estimate.offset
 
@@ -281,9 +286,9 @@ class UsualPlaces(Term):
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(K, 3); none where nothing is usual."""
-        if "usual" not in measured:
+        if measured.usual is None:
             return jnp.zeros(0, body.landmarks.dtype)
-        usual = measured["usual"]
+        usual = measured.usual
         away = body.landmarks[USUAL_ROWS] - usual.places
         return jnp.einsum("kij,kj->ki", usual.roots, away, precision=HIGHEST) / self.spread
 

@@ -22,6 +22,7 @@ from jaxmocap.compilation.arguments import (
     checked_parts,
     floating,
 )
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.lenses import LENSES
 
@@ -110,27 +111,22 @@ def check_pose(name: str, model: Model, pose: Any, count: tuple[int, ...] = ()) 
     return checked_parts(name, pose, Pose, each, model.dtype, model)
 
 
-def check_measurements(
-    name: str, model: Model, measured: Mapping[str, Any], count: int
-) -> dict[str, Any]:
-    """What was measured of so many events; terms of one's own may ask for what is not listed here.
+def check_measurements(name: str, model: Model, measured: Any, count: int) -> Measurements:
+    """What was measured of so many events.
 
     Raises:
-        TypeError: no real numbers.
+        TypeError: no ``Measurements``, or no real numbers.
         ValueError: one of ``NEEDED`` is missing, or has another shape.
     """
-    if missing := [part for part in NEEDED if part not in measured]:
-        raise ValueError(f"{name}: {missing[0]!r} is missing, expected {', '.join(NEEDED)}")
+    check_kind(name, measured, Measurements)
+    if missing := [part for part in NEEDED if getattr(measured, part) is None]:
+        raise ValueError(f"{name}.{missing[0]} is missing, expected {', '.join(NEEDED)}")
     shapes = {"markers": (len(model.markers.bone_indices), 3), "upright": (2,), "facing": (3,)}
     shapes |= {"ankles": (2, 3), "elbows": (2, 3)}
-    result = {}
-    for part, value in measured.items():
-        where = f"{name}[{part!r}]"
-        if part in shapes:
-            shape = (count, *shapes[part])
-            result[part] = floating(where, value, shape, model.dtype, model)
-            continue
+    for part, value in measured._asdict().items():
+        if part in shapes and value is not None:
+            own = floating(f"{name}.{part}", value, (count, *shapes[part]), model.dtype, model)
+            measured = measured._replace(**{part: own})
         for leaf in jax.tree.leaves(value):
-            check_shape(where, np.shape(leaf)[:1], (count,), "one row for each event")
-        result[part] = value
-    return result
+            check_shape(f"{name}.{part}", np.shape(leaf)[:1], (count,), "one row for each event")
+    return measured

@@ -27,8 +27,39 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
 
-# Name of a measurement -> arrays; what a term does not find there it has no residuals of.
-Measurements = Mapping[str, Any]
+
+class Measurements(NamedTuple):
+    """What events bring: of one moment, or with leading axes of many; None where nothing does.
+
+    Attributes:
+        markers: (M, 3) world, metres; NaN where missing.
+        upright: (2,) horizontal part of the pelvis' z axis, of the markers' pose.
+        facing: (3,) unit and horizontal, where that pelvis faces.
+        ankles: (2, 3) of the markers' pose, world, metres.
+        elbows: (2, 3) where images have them, world, metres; NaN where none does.
+        sight_lines: ``SightLines`` of the cameras with key points.
+        usual: ``Usual``, where landmarks usually are.
+        edges: ``WeightedEdges`` about both arms.
+        goals: ``Goals`` of inverse kinematics.
+        last: ``LastPose``.
+        centre: a ``Pose`` to stay near.
+        estimate: ``EstimatedPose``.
+        own: name -> arrays, what terms of one's own ask for.
+    """
+
+    markers: Any = None
+    upright: Any = None
+    facing: Any = None
+    ankles: Any = None
+    elbows: Any = None
+    sight_lines: Any = None
+    usual: Any = None
+    edges: Any = None
+    goals: Any = None
+    last: Any = None
+    centre: Any = None
+    estimate: Any = None
+    own: Mapping[str, Any] | None = None
 
 
 class PosedBody(NamedTuple):
@@ -57,9 +88,11 @@ class Term(ABC):
     Attributes:
         errors_last: whether what is wrong with it stays wrong for a while (somebody who stands
             unusually goes on doing so), so that many frames tell no more than few.
+        needs: fields of ``Measurements`` without which it has no residual.
     """
 
     errors_last: ClassVar[bool] = False
+    needs: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
@@ -135,4 +168,15 @@ def joined_residuals(
     terms: Sequence[Term], model: Model, body: PosedBody, measured: Measurements
 ) -> Array:
     """All whitened residuals (R,) of a posed body."""
-    return jnp.concatenate([term.residual(model, body, measured).ravel() for term in terms])
+    return jnp.concatenate([residual_of(term, model, body, measured).ravel() for term in terms])
+
+
+def residual_of(term: Term, model: Model, body: PosedBody, measured: Measurements) -> Array:
+    """A term's whitened residuals (...).
+
+    Raises:
+        ValueError: something that it needs was not measured.
+    """
+    if missing := [name for name in term.needs if getattr(measured, name) is None]:
+        raise ValueError(f"{type(term).__name__} needs measured {missing[0]!r}, which is missing")
+    return term.residual(model, body, measured)

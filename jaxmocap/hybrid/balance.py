@@ -19,6 +19,7 @@ from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.markers import Goals
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.hybrid.ik import reach
 from jaxmocap.hybrid.settings import IKSettings
 
@@ -139,7 +140,7 @@ def bow_factors(skeleton: Skeleton, settings: IKSettings) -> Array:
             goals = squat_goals(skeleton, SQUAT * jnp.minimum((i + 1) / DEPTHS, 1.0))
             tau = share * most / SQUAT * sinking(skeleton, pose)
             bowed = bow(skeleton, pose, jnp.where(down, 0.0, tau))
-            return reach(model, settings, {"goals": goals}, bowed, down | trunk_stays)
+            return reach(model, settings, Measurements(goals=goals), bowed, down | trunk_stays)
 
         return imbalance(skeleton, jax.lax.fori_loop(0, DEPTHS + 1, stage, standing))[0]
 

@@ -86,9 +86,8 @@ def _descend(
     from jaxmocap.solvers.least_squares import least_squares
 
     own, terms, (low, high) = settings.gradient, settings.gradient_terms, model.skeleton.limits.T
-    measured = {"edges": edges, "goals": aims.goals, "centre": aims.centre}
-    if settings.search:
-        measured["elbows"] = aims.elbows
+    elbows = aims.elbows if settings.search else None
+    measured = Measurements(elbows=elbows, edges=edges, goals=aims.goals, centre=aims.centre)
     if exact:
         return pose_at_minimum(model, terms, measured, start, free=aims.free, bends=False)
     scale = own.near.deviations(model.skeleton)

@@ -79,7 +79,7 @@ def solve_ik(
     # A last pose that is far off may lie in a valley of its own.
     other = Another(placed, jnp.where(far & ~lost, WELL_MET, jnp.inf))
     # Placing a body turns it about the vertical only, on which no effort depends.
-    frames, measured = tree_where(lost, at_ease, last), {"goals": goals}
+    frames, measured = tree_where(lost, at_ease, last), Measurements(goals=goals)
     pose = reach(model, settings, measured, pose, remembered=~lost, other=other, frames=frames)
     misses = goal_distances(skeleton, goals, forward(skeleton, pose))
     stretched = jnp.max(misses[len(targets) :], initial=0.0) > settings.leg_overstretch
@@ -115,9 +115,9 @@ def reach(
     effort = effort_shares(skeleton, frames, settings.augmented_body)
     ease = EasyPosture(settings.relaxation, settings.uprightness, settings.memory)
     terms = (*settings.terms, settings.knees, in_precision(model, ease))
-    if "elbows" in measured:
+    if measured.elbows is not None:
         terms = (*terms, *settings.secondary_terms)
-    about = {**measured, "last": LastPose(pose, effort, remembered)}
+    about = measured._replace(last=LastPose(pose, effort, remembered))
     return pose_at_minimum(model, terms, about, pose, other, free, is_near=remembered)[0]
 
 

@@ -27,6 +27,7 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.evidence.markers import Goals, are_present
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.hybrid.balance import bow_on_feet
 from jaxmocap.hybrid.elbow_search import ElbowBelief, expected_elbows, search, without_image
 from jaxmocap.hybrid.fit import Aims, no_status, refine_arms, refine_body
@@ -108,7 +109,7 @@ def refine_event(
         pose, status = fit(model, settings, edges, pose, aims, arms.grip)
         belief = _update_belief(belief, arms, _arms(model, pose), edges, pose)
     elif settings.balance:
-        met = lambda: reach(model, settings.ik, {"goals": goals}, pose, free)  # noqa: E731
+        met = lambda: reach(model, settings.ik, Measurements(goals=goals), pose, free)  # noqa: E731
         pose = jax.lax.cond(balanced, met, lambda: pose)
     deviations = without_image(settings.elbow_search, belief)[1]
     report = report_of(model, settings, solved, targets, edges, pose)
@@ -200,7 +201,7 @@ def follow_elbows(
     model: Model, settings: Settings, goals: Goals, pose: Pose, free: Array | None, elbows: Array
 ) -> Pose:
     """The body with its elbows where the search has them, as far as the markers hold."""
-    return reach(model, settings.ik, {"goals": goals, "elbows": elbows}, pose, free)
+    return reach(model, settings.ik, Measurements(goals=goals, elbows=elbows), pose, free)
 
 
 def fit(

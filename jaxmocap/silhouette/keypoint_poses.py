@@ -196,15 +196,12 @@ def weigh_by_scatter(points: np.ndarray, lines: SightLines, deviation: float) ->
     return lines._replace(confidences=(confidences * share).astype(confidences.dtype))
 
 
-def measurements(lines: SightLines) -> dict:
+def measurements(lines: SightLines) -> Measurements:
     """What the terms ask for, of T frames."""
     count, dtype = len(lines.confidences), np.asarray(lines.confidences).dtype
     # Nothing says where the pelvis faces.
-    return {
-        "sight_lines": lines,
-        "facing": np.zeros((count, 3), dtype),
-        "upright": np.zeros((count, 2), dtype),
-    }
+    upright, facing = (np.zeros((count, axes), dtype) for axes in (2, 3))
+    return Measurements(upright=upright, facing=facing, sight_lines=lines)
 
 
 @program("full")
@@ -257,7 +254,7 @@ def _postures(skeleton: Skeleton) -> list[Array]:
 
 def _place_pose(skeleton: Skeleton, measured: Measurements, pose: Pose) -> Pose:
     """The pose moved to where its landmarks lie nearest to their lines."""
-    lines = measured["sight_lines"]
+    lines = measured.sight_lines
     weights = jnp.where(jnp.isfinite(lines.directions).all(-1), lines.confidences, 0.0) ** 2
     way = jnp.nan_to_num(lines.directions)
     across = jnp.eye(3, dtype=way.dtype) - way[..., :, None] * way[..., None, :]
@@ -294,7 +291,7 @@ def _descend(
         return tree_where(lower, there, pose), jnp.clip(damping, 1e-3, 1e6)
 
     pose, _ = jax.lax.fori_loop(0, steps, step, (start, jnp.asarray(DAMPING, start.angles.dtype)))
-    lines = measured["sight_lines"]
+    lines = measured.sight_lines
     away = landmarks(model.skeleton, pose) - lines.origin[:, None]
     is_ahead = jnp.all(jnp.sum(away * jnp.nan_to_num(lines.directions), (1, 2)) >= 0)
     cost = jnp.sum(residuals(terms, model, pose, measured) ** 2) / 2

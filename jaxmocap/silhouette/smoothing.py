@@ -178,7 +178,8 @@ def _problem(
     estimate = jax.tree.map(lambda part: np.asarray(part, dtype), estimate)
     held = AtRest(jnp.asarray(1 / rest, dtype), morph)
     model, terms = Model(skeleton, Sites.none(dtype)), _Terms((NearEstimate(), held))
-    return SmoothingProblem(model, terms, times, {"estimate": estimate}, Views.no_cameras())
+    measured = Measurements(estimate=estimate)
+    return SmoothingProblem(model, terms, times, measured, Views.no_cameras())
 
 
 def _accelerations(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> np.ndarray:

@@ -197,7 +197,7 @@ class SilhouetteTracker:
             predicted, deviations = expected, np.full(deviations.shape, s.expected_deviation)
             if len(constants.cameras.size) == 1:
                 deviations[:3] = s.expected_place
-        deviations, measured = deviations.astype(np.float32), measured or {}
+        deviations, measured = deviations.astype(np.float32), measured or Measurements()
         beside, is_first = term_evidence(body.model, measured, s), state.time is None
         frame = FrameEvidence(images, state.backgrounds, state.histograms, beside, is_first)
         fitted = fit_pose(constants, body, frame, predicted, deviations)

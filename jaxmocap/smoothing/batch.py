@@ -12,7 +12,7 @@ INPUTS: a model, a first pass, the videos' frames. OUTPUTS: a Trajectory with de
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import jax
 import numpy as np
@@ -31,6 +31,7 @@ from jaxmocap.evidence.appearance.learned import (
     silhouette_grids,
 )
 from jaxmocap.evidence.silhouettes import SilhouetteGrids
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.images.background_model import spread
 from jaxmocap.images.foreground import is_blank, shrink
 from jaxmocap.images.silhouette_grid import blur_grid
@@ -162,7 +163,8 @@ def solve_recording(
     stated, settings = settings, weigh_by_time(settings, first_pass.times)
     if model.no_foot_is_marked:
         by_markers = first_pass.reports.marker_pose
-        measured["facing"] = facing_in_time(model, stated, first_pass.times, measured, by_markers)
+        facing = facing_in_time(model, stated, first_pass.times, measured, by_markers)
+        measured = measured._replace(facing=facing)
 
     def measured_about(trajectory: Trajectory) -> SmoothingProblem:
         views = _views(model, cameras, trajectory)
@@ -203,7 +205,7 @@ def _with_usual_legs(
     model: Model,
     settings: SmoothingSettings,
     times: np.ndarray,
-    measured: dict[str, Any],
+    measured: Measurements,
     poses: Pose,
 ) -> Pose:
     """Poses (E, ...) with trunk and legs as is usual of them, elbows where they are.
@@ -211,7 +213,7 @@ def _with_usual_legs(
     Without the images: from legs that are folded as nobody's are, silhouettes end far off.
     """
     elbows = landmarks_over_time(model.skeleton, poses, ELBOWS).astype(model.dtype)
-    measured = {**measured, "elbows": elbows}
+    measured = measured._replace(elbows=elbows)
     problem = SmoothingProblem(model, settings, times, measured, Views.no_cameras())
     start = Trajectory(poses, np.zeros(len(PROPORTIONS), model.dtype), UNTURNED)
     return smooth_poses(problem, start, FINELY, PREPARED).trajectory.poses
@@ -234,17 +236,14 @@ def _frames_of_cameras(
     return [each for each in result if len(each.events)]
 
 
-def measurements_of(model: Model, first_pass: FirstPass) -> dict[str, Any]:
+def measurements_of(model: Model, first_pass: FirstPass) -> Measurements:
     """What was measured of each event besides its silhouettes."""
     measured = references(model.skeleton, first_pass.times, first_pass.reports.marker_pose)
-    measured["markers"] = np.asarray(first_pass.markers_world, model.dtype)
     # No goals yet: what is there from the start needs no second program later.
-    none = np.asarray(np.nan, model.dtype)
-    measured["elbows"] = np.broadcast_to(none, (len(first_pass.times), 2, 3))
-    if first_pass.sight_lines is None:
-        return measured
-    lines = jax.tree.map(lambda part: np.asarray(part, model.dtype), first_pass.sight_lines)
-    return {**measured, "sight_lines": lines}
+    none = np.broadcast_to(np.asarray(np.nan, model.dtype), (len(first_pass.times), 2, 3))
+    markers, lines = first_pass.markers_world, first_pass.sight_lines
+    markers, lines = jax.tree.map(lambda part: np.asarray(part, model.dtype), (markers, lines))
+    return measured._replace(markers=markers, elbows=none, sight_lines=lines)
 
 
 def silhouettes_of(

@@ -105,8 +105,8 @@ def elbow_path(
         call = partial(_elbows, problem.model, path_settings)
         at = np.asarray(pivots, np.int32)[frames]
         elbows, moving, own = in_batches(call, (there, at), VIEWS_A_CALL, workers)
-        if "sight_lines" in problem.measured:
-            lines = rows_of(problem.measured["sight_lines"], frames)
+        if problem.measured.sight_lines is not None:
+            lines = rows_of(problem.measured.sight_lines, frames)
             deviation = problem.settings.keypoints.deviation
             own += np.asarray(price_off_lines(on_device(elbows), lines, deviation))
         price = partial(_pictures, *coarsely(problem, SOFTNESS), trajectory, workers)

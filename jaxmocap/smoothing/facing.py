@@ -47,14 +47,16 @@ LONGEST_STEP_S = 0.1
 _matrices = Program(jax.vmap(quaternion_to_matrix), "matrices")
 
 
-def references(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> dict[str, np.ndarray]:
+def references(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> Measurements:
     """Measured ``upright``, ``facing`` and ``ankles`` (T, ...) of poses by the markers alone."""
     R = np.asarray(_matrices(on_device(poses.quaternion)))
     ankles = landmarks_over_time(skeleton, poses, ANKLES)
     facing = _level(average_over_time(R[:, :2, 0], times))
-    result = {"upright": R[:, :2, 2], "facing": facing, "ankles": ankles}
     # Copies: what is a part of a larger array would keep that one.
-    return {name: np.array(part, skeleton.lengths.dtype) for name, part in result.items()}
+    upright, facing, ankles = (
+        np.array(part, skeleton.lengths.dtype) for part in (R[:, :2, 2], facing, ankles)
+    )
+    return Measurements(upright=upright, facing=facing, ankles=ankles)
 
 
 def facing_in_time(

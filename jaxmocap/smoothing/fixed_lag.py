@@ -34,6 +34,7 @@ from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearance
 from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.evidence.markers import measured_noise
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.images.foreground import is_blank
 from jaxmocap.smoothing.facing import RunningFacing
 from jaxmocap.smoothing.settings import LONGEST_STEP_S, SmoothingSettings
@@ -234,10 +235,10 @@ class FixedLagSmoother:
                 since.append(step.time - events[-1].time if events else LONGEST_STEP_S)
                 facing = self._facing.step(np.asarray(there.ahead), since[-1] if events else 0.0)
                 markers = np.asarray(step.markers_world, dtype)
-                measured.append({
-                    "markers": markers, "upright": there.upright, "facing": facing.astype(dtype),
-                    "ankles": there.ankles, "elbows": self._no_goals,
-                })  # fmt: skip
+                facing = facing.astype(dtype)
+                measured.append(
+                    Measurements(markers, there.upright, facing, there.ankles, self._no_goals)
+                )
                 if step.lines is not None:
                     lines.append(jax.tree.map(lambda part: np.asarray(part, dtype), step.lines))
                 frames = self._frames(step.images, there.pose)

@@ -60,9 +60,8 @@ class Events(NamedTuple):
 
     Attributes:
         times: (T,) seconds, ascending.
-        measured: name -> (T, ...), as the terms ask for them: ``markers`` (T, M, 3), world, metres,
-            NaN where missing; ``upright``, ``facing`` and ``ankles`` of the markers' poses;
-            ``elbows`` (T, 2, 3), NaN where no image shows them.
+        measured: (T, ...), ``markers``, ``upright``, ``facing`` and ``ankles`` at least; ``elbows``
+            are NaN where no image shows them.
         poses: (T, ...) to start from; nothing is differentiated by them.
         silhouettes: (T, C, ...) of the model's cameras, blurred over ``SOFTNESS`` cells; of weight
             0 where a camera has no frame. None without.

@@ -53,10 +53,10 @@ def smooth_markers(
     model, count = replace(model, cameras=None), len(first_pass.times)
     measured = measurements_of(model, first_pass)
     usual, samples = walkers_measurements(
-        model, first_pass.times, measured["markers"], first_pass.reports.marker_pose,
-        measured["facing"], usual_habits(),
+        model, first_pass.times, measured.markers, first_pass.reports.marker_pose,
+        measured.facing, usual_habits(),
     )  # fmt: skip
-    measured |= usual
+    measured = measured._replace(**usual)
     views = VIEWS_A_SAMPLE * count + VIEWS_A_USUAL_SAMPLE * samples
     weighted = weigh_by_time(settings, first_pass.times)
     weighted = replace(weighted, proportions=settings.proportions * views)

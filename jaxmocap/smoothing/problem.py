@@ -89,7 +89,7 @@ class SmoothingProblem:
         settings: with the terms of evidence: ``SmoothingSettings``, or what has ``terms`` only
             where nothing is shared and there are no views.
         times: (T,) seconds.
-        measured: name -> (T, ...) of each frame.
+        measured: (T, ...) of each frame.
         views: of all cameras.
     """
 
@@ -101,7 +101,7 @@ class SmoothingProblem:
 
     def with_measured(self, **more: Any) -> "SmoothingProblem":
         """The same with more measurements."""
-        return replace(self, measured={**self.measured, **more})
+        return replace(self, measured=self.measured._replace(**more))
 
     def motion_prior(self) -> Smoothness:
         """The prior on the landmarks' motion."""

@@ -115,7 +115,7 @@ def _frame_step(problem: SmoothingProblem) -> float:
     """Mean seconds between the events that a camera has filmed."""
     filmed = np.zeros(len(problem.times), bool)
     filmed[problem.views.frame] = True
-    if (lines := problem.measured.get("sight_lines")) is not None:
+    if (lines := problem.measured.sight_lines) is not None:
         filmed |= (np.asarray(lines.confidences) > 0).any((1, 2))
     return float(mean_step(problem.times[filmed])) if filmed.sum() > 1 else 1 / LASTING_HZ
 
@@ -128,8 +128,7 @@ def lasting_errors(problem: SmoothingProblem) -> SmoothingSettings:
 
 def _without_video(problem: SmoothingProblem) -> SmoothingProblem:
     """The same without what the cameras show."""
-    measured = {name: own for name, own in problem.measured.items() if name != "sight_lines"}
-    return replace(problem, views=problem.views.none, measured=measured)
+    return replace(problem.with_measured(sight_lines=None), views=problem.views.none)
 
 
 def leave_one_out(
@@ -195,18 +194,17 @@ def _parts(problem: SmoothingProblem) -> Iterator[tuple[str, int | str | None, S
     """The problem, and what it is without each part of its evidence."""
     by_itself, settings = problem.settings, count_once(problem)
     problem = replace(problem, settings=settings)
-    measured, views = problem.measured, problem.views
+    markers, views = problem.measured.markers, problem.views
     yield "nothing", None, problem
-    for marker in range(measured["markers"].shape[1]):
-        fewer = np.array(measured["markers"])
+    for marker in range(markers.shape[1]):
+        fewer = np.array(markers)
         fewer[:, marker] = np.nan
         yield "marker", marker, problem.with_measured(markers=fewer)
     for camera in np.unique(views.camera):
         others = views.camera != camera
         yield "camera", int(camera), replace(problem, views=_views_of(problem, others))
-    if "sight_lines" in measured:
-        rest = {name: own for name, own in measured.items() if name != "sight_lines"}
-        yield "key points", None, replace(problem, measured=rest)
+    if problem.measured.sight_lines is not None:
+        yield "key points", None, problem.with_measured(sight_lines=None)
     for field in fields(settings):
         term = getattr(settings, field.name)
         if isinstance(term, Term) and not isinstance(term, OTHER_TERMS):

@@ -11,7 +11,7 @@ from painted_motion import MODEL, PERSON, pose_at
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.evidence.ground import ANKLES, KNEES, AnkleRange, FeetOnFloor
 from jaxmocap.evidence.posture import MostlyRelaxedPosture, Pelvis
-from jaxmocap.evidence.terms import posed_body
+from jaxmocap.evidence.terms import Measurements, posed_body
 
 
 def test_feet_stand_on_the_floor_and_nothing_lies_below_it():
@@ -40,7 +40,7 @@ def shanks(lean: float, lifted: float = 0.0, heading: float = 0.0) -> float:
     c, s = np.cos(np.radians(heading)), np.sin(np.radians(heading))
     R = jnp.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     body = SimpleNamespace(landmarks=jnp.asarray(points), R_world_pelvis=R)
-    residual = AnkleRange().residual(MODEL, body, {"ankles": standing})  # type: ignore[arg-type]
+    residual = AnkleRange().residual(MODEL, body, Measurements(ankles=standing))  # type: ignore[arg-type]
     return float(jnp.sum(residual**2))
 
 
@@ -81,7 +81,7 @@ def off_upright(trunk: float, legs: float = 0.0) -> float:
     lean = np.radians(trunk) / 2
     pose = pose._replace(angles=angles, quaternion=np.array([np.cos(lean), 0, np.sin(lean), 0]))
     pose = jax.tree.map(lambda part: jnp.asarray(part, jnp.float32), pose)
-    term, measured = Pelvis(lean=0.05), {"upright": np.zeros(2), "facing": np.eye(3)[0]}
+    term, measured = Pelvis(lean=0.05), Measurements(upright=np.zeros(2), facing=np.eye(3)[0])
     residual = term.residual(MODEL, posed_body(MODEL, pose), measured)
     return float(jnp.sum(residual**2))
 

@@ -43,7 +43,7 @@ from jaxmocap.evidence.keypoints import (
     line_residuals,
     lines_of_sight,
 )
-from jaxmocap.evidence.terms import posed_body, residuals
+from jaxmocap.evidence.terms import Measurements, posed_body, residuals
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.pipelines.keypoints.lines import lines_at_events
@@ -81,9 +81,7 @@ def without_silhouettes(sight_lines: SightLines | None) -> SmoothingProblem:
     """The motion by markers and lines: the silhouettes' cells have no weight."""
     empty = views(COUNT)
     grids = empty.grids.each_grid(lambda grid: grid._replace(weight=0 * grid.weight))
-    measured = measurements(COUNT)
-    if sight_lines is not None:
-        measured["sight_lines"] = sight_lines
+    measured = measurements(COUNT)._replace(sight_lines=sight_lines)
     return problem(COUNT, empty._replace(grids=grids), measured)
 
 
@@ -146,7 +144,7 @@ def test_a_landmark_costs_by_how_far_beyond_the_hips_it_is_against_the_detector(
     sure = np.ones((1, len(LANDMARKS)), np.float32)
     sure[0, 4], depths[4] = 0.0, 5.0
     lines = SightLines(camera[None], none, sure, depths[None].astype(np.float32))
-    actual = term.residual(model, posed_body(model, pose), {"sight_lines": lines})[0]
+    actual = term.residual(model, posed_body(model, pose), Measurements(sight_lines=lines))[0]
     expected = np.sign(off) * np.sqrt(TAILS * np.log1p(off**2 / TAILS))
     np.testing.assert_allclose(actual, expected, atol=1e-4)
     assert not term.residual(model, posed_body(model, pose), {}).size
@@ -208,7 +206,7 @@ def moved(step, pose, frame):
 
 def a_frame():
     pose = Pose(*(jnp.asarray(part[3], float) for part in disturbed(COUNT).poses))
-    frames = measurements(COUNT) | {"sight_lines": lines(wrong=0.2)}
+    frames = measurements(COUNT)._replace(sight_lines=lines(wrong=0.2))
     return pose, on_device(jax.tree.map(lambda part: part[3], frames))
 
 
@@ -236,9 +234,8 @@ def test_slopes_are_those_of_finite_differences():
 
 def test_a_frame_without_any_point_costs_what_it_does_without_lines():
     pose, frame = a_frame()
-    without = {name: part for name, part in frame.items() if name != "sight_lines"}
-    own = frame["sight_lines"]
-    nothing = without | {"sight_lines": own._replace(directions=np.nan * own.directions)}
+    own, without = frame.sight_lines, frame._replace(sight_lines=None)
+    nothing = frame._replace(sight_lines=own._replace(directions=np.nan * own.directions))
     costs = [float(jnp.sum(moved(STILL, pose, each) ** 2)) for each in (nothing, without)]
     assert costs[0] == pytest.approx(costs[1])
 
@@ -357,7 +354,7 @@ def test_key_points_count_where_the_frames_of_their_camera_cannot_be_read():
     video = MemoryVideo(
         np.append(times, COUNT / 30), [*[None] * COUNT, np.zeros((90, 120, 3), np.uint8)]
     )
-    markers, start = measurements(COUNT)["markers"], disturbed(COUNT).poses
+    markers, start = measurements(COUNT).markers, disturbed(COUNT).poses
     first = first_pass(
         build_timeline(times, [times]), markers, truth(COUNT), start,
         sight_lines=lines(wrong=0.05),

@@ -4,7 +4,6 @@ import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -74,14 +73,13 @@ def frame(kind: str):
     """A pose, and measurements of another, so that nothing is at rest."""
     there = measurements(COUNT)
     if kind == "a marker lost":
-        there["markers"] = np.array(there["markers"])
-        there["markers"][:, 1] = np.nan
+        there.markers[:, 1] = np.nan
     if kind == "elbows with goals":
-        there["elbows"] = np.full((COUNT, 2, 3), 0.3, np.float32)
+        there = there._replace(elbows=np.full((COUNT, 2, 3), 0.3, np.float32))
     if kind == "lines of sight":
         pixels = np.asarray(project(CAMERAS[0], jnp.asarray(points_of(truth(COUNT)))))
         names, sure = LANDMARKS, np.full(pixels.shape[:2], 0.9)
-        there["sight_lines"] = lines_of_sight(CAMERAS[0], names, pixels, sure)
+        there = there._replace(sight_lines=lines_of_sight(CAMERAS[0], names, pixels, sure))
     pose, one = jax.tree.map(lambda part: on_device(part[1]), (truth(COUNT), there))
     step = 0.1 * np.random.default_rng(3).standard_normal(ROOT_DOF + pose.angles.size)
     return retract(pose, on_device(step)), one
@@ -146,7 +144,7 @@ def slanted_fields() -> EdgeFields:
 
 
 @cache
-def another_moment() -> dict[str, Any]:
+def another_moment() -> Measurements:
     """All that any term may have measured, of a pose of its own."""
     pose = Pose(*(part[1] for part in truth(COUNT)))
     points, dofs = points_of(truth(COUNT)), ROOT_DOF + pose.angles.size
@@ -154,21 +152,20 @@ def another_moment() -> dict[str, Any]:
     sure = np.full(points.shape[:2], 0.9)
     depths = np.linspace(-0.4, 0.4, sure.size).reshape(sure.shape)
     lines = lines_of_sight(CAMERAS[0], LANDMARKS, pixels, sure, depths)
-    measured = {name: part[1] for name, part in measurements(COUNT).items()}
-    targets = np.concatenate([measured["markers"], measured["ankles"]])
-    return {
-        **measured,
-        "elbows": points[1][ELBOWS] + 0.05,
-        "sight_lines": jax.tree.map(lambda part: part[1], lines),
-        "goals": Goals(MODEL.effectors, targets, np.array([1.0, 1.0, 0.0, 0.8, 0.8])),
-        "usual": Usual(
+    measured, lines = jax.tree.map(lambda part: part[1], (measurements(COUNT), lines))
+    targets = np.concatenate([measured.markers, measured.ankles])
+    return measured._replace(
+        elbows=points[1][ELBOWS] + 0.05,
+        sight_lines=lines,
+        goals=Goals(MODEL.effectors, targets, np.array([1.0, 1.0, 0.0, 0.8, 0.8])),
+        usual=Usual(
             points[1][USUAL_ROWS] + 0.05, np.eye(3) + np.linspace(0, 9, 45).reshape(5, 3, 3)
         ),
-        "centre": pose,
-        "last": LastPose(pose, np.linspace(0.01, 0.2, dofs - ROOT_DOF), np.bool_(True)),
-        "estimate": EstimatedPose(pose, np.eye(dofs) + 0.1, np.linspace(-1, 1, dofs)),
-        "edges": jax.jit(EdgeEvidence.weigh)(AREA, MODEL, slanted_fields(), on_device(pose)),
-    }
+        centre=pose,
+        last=LastPose(pose, np.linspace(0.01, 0.2, dofs - ROOT_DOF), np.bool_(True)),
+        estimate=EstimatedPose(pose, np.eye(dofs) + 0.1, np.linspace(-1, 1, dofs)),
+        edges=jax.jit(EdgeEvidence.weigh)(AREA, MODEL, slanted_fields(), on_device(pose)),
+    )
 
 
 MORE = SearchedElbows(), NearEstimate(), EasyPosture(), EdgeEvidence(), EstimatedDepths()
@@ -219,12 +216,13 @@ def _text(path: Path) -> str:
 @given(pose=poses(beyond=0.3))
 def test_every_terms_derivative_is_that_of_finite_differences(feet, pose):
     """Anywhere, joints beyond their ranges included; all terms in one compilation."""
-    measured = dict(another_moment())
+    measured = another_moment()
     # The difference from a pose half a turn away is not continuous.
-    assume(abs(np.dot(pose.quaternion, measured["centre"].quaternion)) > 0.05)
+    assume(abs(np.dot(pose.quaternion, measured.centre.quaternion)) > 0.05)
     names, model = tuple(TERMS), MODEL
     if feet == "marked feet":
-        measured["markers"] = np.concatenate([measured["markers"], measured["ankles"]])
+        markers = np.concatenate([measured.markers, measured.ankles])
+        measured = measured._replace(markers=markers)
         names, model = OF_FEET, MARKED_FEET
     with double():
         terms = tuple(TERMS[name] for name in names)
@@ -240,6 +238,20 @@ def test_every_terms_derivative_is_that_of_finite_differences(feet, pose):
         # Where markers hold the feet, the ground, ankles and balance are silent.
         silent = feet == "marked feet" and name not in ("MarkerPositions", "Pelvis")
         assert (not ours.size) == silent, name
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_what_a_term_needs_and_was_not_measured_is_stated(name):
+    """Others have no residual, or one of the pose alone."""
+    term, pose = TERMS[name], another_moment().centre
+    if not term.needs:
+        assert np.isfinite(residuals((term,), MODEL, pose, Measurements())).all()
+        return
+    for missing in term.needs:
+        less = another_moment()._replace(**{missing: None})
+        for call in (residuals, expand_terms):
+            with pytest.raises(ValueError, match=f"needs measured '{missing}', which is missing"):
+                call((term,), MODEL, pose, less)
 
 
 @jax.jit
@@ -271,8 +283,8 @@ def all_curvatures(terms, model, pose, measured):
 @hypothesis_settings(max_examples=5)
 @given(pose=poses(beyond=0.3))
 def test_the_second_order_of_goals_and_of_the_secondary_task_is_that_of_differences(pose):
-    measured = dict(another_moment())
-    assume(abs(np.dot(pose.quaternion, measured["centre"].quaternion)) > 0.2)
+    measured = another_moment()
+    assume(abs(np.dot(pose.quaternion, measured.centre.quaternion)) > 0.2)
     with double():
         terms = (PointGoals(), EasyPosture(), Pelvis())
         given_ = in_double((terms, MODEL, measured))
@@ -289,7 +301,7 @@ def test_the_second_order_keeps_the_order_of_terms():
     terms = (Pelvis(), PointGoals(), SearchedElbows(), EasyPosture(), FeetOnFloor())
     with double():
         terms, model, measured = in_double((terms, MODEL, another_moment()))
-        pose = jax.jit(retract)(measured["centre"], jnp.full(PERSON.costs.size, 0.01))
+        pose = jax.jit(retract)(measured.centre, jnp.full(PERSON.costs.size, 0.01))
         r, J, _ = jax.jit(expand_terms)(terms, model, pose, measured)
         expected = jax.jit(linearise_terms)(terms, model, jnp.zeros(0), pose, measured)
     np.testing.assert_allclose(r, expected.residuals, atol=1e-9)
@@ -335,7 +347,7 @@ def hands_apart(points: np.ndarray) -> np.ndarray:
 def test_a_new_term_takes_part_in_smoothing():
     count = 6
     measured = measurements(count)
-    measured["markers"][:, 1:] = np.nan
+    measured.markers[:, 1:] = np.nan
     given = problem(count, views(count).none, measured)
 
     for metres in (0.6, 0.45):
@@ -355,8 +367,10 @@ class IKWithAStick(IKSettings):
 def test_a_new_term_takes_part_in_inverse_kinematics():
     start = on_device(Pose(*(part[1] for part in truth(COUNT))))
     model = jax.tree.map(jnp.asarray, MODEL)
-    goals = another_moment()["goals"]._replace(weights=np.array([1.0, 0, 0, 1, 1], np.float32))
-    solve = jax.jit(lambda chosen: reach(model, chosen, {"goals": on_device(goals)}, start))
+    goals = another_moment().goals._replace(weights=np.array([1.0, 0, 0, 1, 1], np.float32))
+    solve = jax.jit(
+        lambda chosen: reach(model, chosen, Measurements(goals=on_device(goals)), start)
+    )
     for metres in (0.6, 0.45):
         found = solve(IKWithAStick(stick=HandsApart(metres=metres)))
         apart = hands_apart(points_of(jax.tree.map(lambda part: part[None], found)))
@@ -367,9 +381,9 @@ def test_a_new_term_takes_part_in_the_gradient_refinement():
     start = on_device(Pose(*(part[1] for part in truth(COUNT))))
     model = jax.tree.map(jnp.asarray, MODEL)
     measured = another_moment()
-    goals = measured["goals"]._replace(weights=np.array([1.0, 0, 0, 1, 1], np.float32))
+    goals = measured.goals._replace(weights=np.array([1.0, 0, 0, 1, 1], np.float32))
     free = jnp.ones(PERSON.costs.shape, bool)
-    aims = Aims(on_device(goals), on_device(measured["elbows"]), start, free)
+    aims = Aims(on_device(goals), on_device(measured.elbows), start, free)
     fields = jax.tree.map(lambda part: np.asarray(part, np.float32), slanted_fields())
     fields = fields._replace(available=np.ones((2, 2), bool))
 

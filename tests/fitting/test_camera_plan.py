@@ -72,7 +72,7 @@ def goal_of(subject: Subject) -> Goal:
     moments = moments._replace(times=moments.times[:4], poses=few[0], measured=few[1])
     settings = settings_for(subject.model, Settings().smoothing, moments)
     information = of_markers(subject.model, settings, moments)
-    frame = frame_of(information, np.asarray(moments.measured["facing"]))
+    frame = frame_of(information, np.asarray(moments.measured.facing))
     weights = jnp.zeros(len(LANDMARKS)).at[ELBOWS].set(0.5)
     rate = jnp.asarray(30.0)
     return Goal(subject.model.skeleton, settings, information, frame, lens(), rate, weights)

@@ -11,6 +11,7 @@ import jaxmocap
 from jaxmocap import Events, HybridTracker, Model, Pose, Settings, Skeleton
 from jaxmocap.compilation.programs import Program, keep_in
 from jaxmocap.compilation.settings import settings, traced
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.cameras import Camera, stack_cameras
 from jaxmocap.hybrid.observe import images_of
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -84,7 +85,8 @@ def test_poses_that_do_not_fit_are_refused(pose, error, sentence):
 
 def measured(count, **others):
     shapes = {"markers": (3, 3), "upright": (2,), "facing": (3,), "ankles": (2, 3)}
-    return {name: np.zeros((count, *shape)) for name, shape in shapes.items()} | others
+    zeros = {name: np.zeros((count, *shape)) for name, shape in shapes.items()}
+    return Measurements(**(zeros | others))
 
 
 @pytest.mark.parametrize(
@@ -92,12 +94,13 @@ def measured(count, **others):
     [
         (None, TypeError, "events: found NoneType, expected Events"),
         (Events(np.arange(2.0), measured(2), several(POSE, 2)), ValueError, "found 2, expected 3"),
-        (Events(np.arange(4.0), {}, several(POSE, 4)), ValueError, "'markers' is missing"),
+        (Events(np.arange(4.0), Measurements(), several(POSE, 4)), ValueError, "markers is miss"),
+        (Events(np.arange(4.0), {}, several(POSE, 4)), TypeError, "expected Measurements"),
         (Events(np.ones(4), measured(4), several(POSE, 4)), ValueError, "seconds that ascend"),
         (
             Events(np.arange(4.0), measured(4, markers=np.zeros((4, 2, 3))), several(POSE, 4)),
             ValueError,
-            r"\['markers'\]: found shape \(4, 2, 3\), expected \(4, 3, 3\)",
+            r"measured.markers: found shape \(4, 2, 3\), expected \(4, 3, 3\)",
         ),
         (Events(np.arange(4.0), measured(4), several(POSE, 5)), ValueError, "events.poses"),
         (Events(np.zeros((2, 4)), measured(4), several(POSE, 4)), ValueError, BATCH),

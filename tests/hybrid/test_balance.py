@@ -14,6 +14,7 @@ from jaxmocap.body.mass import base_of_support, centre_of_gravity
 from jaxmocap.body.model import Model, on_unmarked_feet
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.hybrid import balance, ik
 from jaxmocap.hybrid.settings import IKSettings
 from jaxmocap.reference.hybrid import balance as reference
@@ -37,7 +38,7 @@ def squat(skeleton, start, depth, factors):
     foot = skeleton.diameters[skeleton.tree.bone("foot_l"), 0]
     lift = foot - goals.targets[3, 2]
     goals = goals._replace(targets=goals.targets.at[:, 2].add(lift))
-    model, measured = Model.create(skeleton, goals.sites), {"goals": goals}
+    model, measured = Model.create(skeleton, goals.sites), Measurements(goals=goals)
     pose = ik.reach(model, settings, measured, start)
     bowed, free, bows = balance.bow_on_feet(skeleton, settings, pose, factors)
     balanced = ik.reach(model, settings, measured, bowed, free)
@@ -110,7 +111,7 @@ def sunk_pose(skeleton, depth):
     """The relaxed body with bent knees, its head ``depth`` metres lower, feet on the ground."""
     goals = balance.squat_goals(skeleton, depth)
     model, start = Model.create(skeleton, goals.sites), relaxed_pose(skeleton)
-    pose = ik.reach(model, IKSettings(), {"goals": goals}, start)
+    pose = ik.reach(model, IKSettings(), Measurements(goals=goals), start)
     ankle = landmarks(skeleton, pose)[LANDMARKS.index("ankle_l"), 2]
     lift = skeleton.diameters[skeleton.tree.bone("foot_l"), 0] - ankle
     return pose._replace(position=pose.position.at[2].add(lift))

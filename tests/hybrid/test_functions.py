@@ -388,7 +388,7 @@ def stroke(count: int = 8):
         poses = jax.tree.map(lambda *parts: np.stack(parts), *each)
         measured = references(model.skeleton, times, poses)
         elbows = np.stack([truth["elbow_l"], truth["elbow_r"]], 1)
-        measured |= {"markers": markers, "elbows": elbows}
+        measured = measured._replace(markers=markers, elbows=elbows)
         return in_double((model, chosen, Events(times, measured, poses))), truth
 
 
@@ -415,7 +415,7 @@ def test_a_smoothed_motion_moves_backwards_as_forwards(moving):
         pull = np.random.default_rng(3).normal(size=points.shape)
         backwards = jax.jit(lambda pull: jax.vjp(partial(smoothed, *others), measured)[1](pull))
         (pulled,) = backwards(jnp.asarray(pull))
-    each = (np.vdot(pulled[name], way[name]) for name in measured)
+    each = map(np.vdot, jax.tree.leaves(pulled), jax.tree.leaves(way))
     assert sum(each) == pytest.approx(np.vdot(pull, change), rel=1e-7)
 
 
@@ -438,7 +438,8 @@ def test_single_precision_smooths_samples_that_come_as_fast_as_devices_send_them
     start = [np.tile(np.asarray(part, np.float32), (len(times), 1)) for part in pose]
     model, poses = tracked_model(), Pose(*start)
     measured = references(model.skeleton, times, poses)
-    measured |= {"markers": markers, "elbows": np.full((len(times), 2, 3), np.nan)}
+    unseen = np.full((len(times), 2, 3), np.nan)
+    measured = measured._replace(markers=markers, elbows=unseen)
     measured = on_device(measured, jnp.float32)
 
     def smoothed(stretch):

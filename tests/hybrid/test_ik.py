@@ -16,6 +16,7 @@ from jaxmocap.body.model import Model, on_unmarked_feet
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.evidence.markers import Goals
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.hybrid import feet, ik
 from jaxmocap.hybrid.paper import ik as paper
@@ -38,13 +39,13 @@ def five(skeleton: Skeleton) -> Sites:
 
 @jax.jit
 def step(skeleton, chosen, pose, targets, weights, free):
-    measured = {"goals": Goals(five(skeleton), targets, weights)}
+    measured = Measurements(goals=Goals(five(skeleton), targets, weights))
     return paper.ik_step(Model.create(skeleton), chosen, measured, pose, free)
 
 
 @jax.jit
 def step_with_secondary(skeleton, chosen, pose, targets, weights, free, elbows):
-    measured = {"goals": Goals(five(skeleton), targets, weights), "elbows": elbows}
+    measured = Measurements(goals=Goals(five(skeleton), targets, weights), elbows=elbows)
     return paper.ik_step(Model.create(skeleton), chosen, measured, pose, free, 0.8)
 
 
@@ -144,13 +145,13 @@ def test_a_step_with_secondary_goals_is_the_references(skeleton64, pose, seed):
 
 @jax.jit
 def solved(skeleton, chosen, pose, targets, weights):
-    measured = {"goals": Goals(five(skeleton), targets, weights)}
+    measured = Measurements(goals=Goals(five(skeleton), targets, weights))
     return paper.reach(Model.create(skeleton), chosen, measured, pose)
 
 
 @jax.jit
 def followed(skeleton, chosen, pose, targets, weights):
-    measured = {"goals": Goals(five(skeleton), targets, weights)}
+    measured = Measurements(goals=Goals(five(skeleton), targets, weights))
     return ik.reach(Model.create(skeleton), chosen, measured, pose)
 
 

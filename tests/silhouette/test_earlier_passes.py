@@ -10,6 +10,7 @@ from test_silhouette_tracker import painted
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.silhouette import passes
 from jaxmocap.silhouette.first_pose import landmark_points
 from jaxmocap.silhouette.passes import FrameBundle, run_passes
@@ -111,7 +112,7 @@ def test_each_pass_steps_each_frame_with_what_the_one_before_it_found(monkeypatc
 
     estimator = SimpleNamespace(estimate=lambda: (None, None))
     monkeypatch.setattr(passes, "ShapeEstimator", lambda *_: estimator)
-    frames, done = [FrameBundle(t, [None], {}) for t in (0.0, 0.5)], []
+    frames, done = [FrameBundle(t, [None], Measurements()) for t in (0.0, 0.5)], []
     monkeypatch.setattr(passes.PassLearner, "add_frame", lambda *_: None)
     result = run_passes(
         track_by(step), HANGING, lambda: iter(frames), 2, [None],

@@ -136,5 +136,5 @@ def test_a_landmark_that_scatters_counts_less(truth):
 def test_what_the_terms_ask_for_says_nothing_of_where_the_pelvis_faces():
     lines = lines_of_sight(CAMERA, NAMES, np.zeros((2, len(NAMES), 2)), np.ones((2, len(NAMES))))
     measured = measurements(lines)
-    assert not measured["facing"].any() and not measured["upright"].any()
+    assert not measured.facing.any() and not measured.upright.any()
     assert len(LANDMARKS) == lines.directions.shape[2]

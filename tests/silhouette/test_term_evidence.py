@@ -16,7 +16,7 @@ from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.keypoints import KeyPoints, lines_of_sight
 from jaxmocap.evidence.markers import MarkerPositions
-from jaxmocap.evidence.terms import Term
+from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.lines import Lines
 from jaxmocap.pipelines.silhouettes.track import make_silhouette_tracker
@@ -50,7 +50,7 @@ class PelvisHeight(Term):
 
 def beside(positions, deviation=0.01, *more) -> TermEvidence:
     terms = (MarkerPositions(deviation=deviation), *more)
-    return TermEvidence(Model(BODY, SITES), terms, {"markers": np.asarray(positions, np.float32)})
+    return TermEvidence(Model(BODY, SITES), terms, Measurements(np.asarray(positions, np.float32)))
 
 
 def raised():
@@ -63,15 +63,15 @@ def raised():
 
 def test_terms_without_measurements_have_no_part():
     model, usual = Model(BODY, Sites.none(BODY.lengths.dtype)), Settings()
-    assert term_evidence(model, {}, usual) is None
+    assert term_evidence(model, Measurements(), usual) is None
     camera = look_at((4.0, 0.0, 1.0), (0.0, 0.0, 1.0))
     pixels = np.full((1, 1, 2), 200.0)
     lines = lines_of_sight(camera, ("wrist_l",), pixels, np.ones((1, 1)))
     by_points = term_evidence(
-        model, {"sight_lines": jax.tree.map(lambda part: part[0], lines)}, usual
+        model, Measurements(sight_lines=jax.tree.map(lambda part: part[0], lines)), usual
     )
     assert by_points is not None and [type(term) for term in by_points.terms] == [KeyPoints]
-    marked = term_evidence(Model(BODY, SITES), {}, usual)
+    marked = term_evidence(Model(BODY, SITES), Measurements(), usual)
     assert marked is not None and [type(term) for term in marked.terms] == [MarkerPositions]
 
 

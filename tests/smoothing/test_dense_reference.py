@@ -13,6 +13,7 @@ import jaxmocap
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.evidence.keypoints import SightLines
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.reference import kinematics
 from jaxmocap.reference import smoothing as reference
@@ -83,7 +84,7 @@ def points_of(dense: reference.Problem, x: np.ndarray) -> np.ndarray:
 def test_the_public_smoothers_poses_are_at_the_dense_minimum():
     """There Gauss and Newton's step, and so the gradient, vanishes; nowhere near is it cheaper."""
     with double():
-        events = in_double(Events(TIMES, problem().measured, problem().start))
+        events = in_double(Events(TIMES, Measurements(**problem().measured), problem().start))
         model, settings = in_double((MODEL, Settings(smoothing=SETTINGS)))
         actual = jax.jit(jaxmocap.smooth)(model, settings, events)
     there = problem()._replace(
@@ -114,7 +115,7 @@ def test_a_recordings_minimum_and_its_deviations_are_the_dense_ones():
     """With two proportions that all frames share."""
     dense = problem()._replace(shared=2)
     model, settings = in_double((MODEL, SETTINGS))
-    given = SmoothingProblem(model, settings, TIMES, dense.measured, views(1).none)
+    given = SmoothingProblem(model, settings, TIMES, Measurements(**dense.measured), views(1).none)
     start = Trajectory(dense.start, np.zeros(dense.shared))
     ended = smooth_poses(given, start, (0.8,), 1e-14)
     actual = with_deviations(given, ended.trajectory, 0.8)

@@ -8,6 +8,7 @@ from painted_motion import MODEL, PERSON, SETTINGS, measurements, places_of, tru
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.pose import Pose
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.smoothing.facing import average_over_time, facing_in_time, references
 
 COUNT, LATE_S = 72, 0.5
@@ -35,16 +36,18 @@ def aside(ahead: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def late() -> tuple[Pose, dict[str, np.ndarray]]:
+def late() -> tuple[Pose, Measurements]:
     """The markers' own poses, that follow late, and what is measured."""
     markers = np.asarray(places_of(on_device(turned(turning(TIMES)))))
     poses = turned(turning(TIMES - LATE_S))
-    return poses, {**measurements(COUNT), "markers": markers, **references(PERSON, TIMES, poses)}
+    return poses, references(PERSON, TIMES, poses)._replace(
+        markers=markers, elbows=measurements(COUNT).elbows
+    )
 
 
 def test_the_markers_poses_face_where_the_shoulders_did(late):
     _, measured = late
-    assert aside(measured["facing"]).mean() > 10
+    assert aside(measured.facing).mean() > 10
 
 
 def test_all_markers_at_once_face_where_the_shoulders_do(late):
@@ -52,7 +55,7 @@ def test_all_markers_at_once_face_where_the_shoulders_do(late):
     ahead = facing_in_time(MODEL, SETTINGS, TIMES, measured, poses)
     np.testing.assert_allclose(np.linalg.norm(ahead, axis=-1), 1, atol=1e-5)
     assert (ahead[:, 2] == 0).all()
-    assert aside(ahead).mean() < 0.6 * aside(measured["facing"]).mean()
+    assert aside(ahead).mean() < 0.6 * aside(measured.facing).mean()
 
 
 def test_events_between_frames_face_between_them(late):

@@ -273,8 +273,9 @@ def test_a_body_whose_arm_is_elsewhere_stays_where_it_was_before(monkeypatch):
     monkeypatch.setattr(advancing, "search_arms", lambda *_: jax.tree.map(jnp.asarray, found))
     monkeypatch.setattr(advancing, "RIVAL_GAIN", -1e9)
     state = smoother._state
-    missing = {"markers": np.full_like(state.events.measured["markers"], np.nan)}
-    events = state.events._replace(measured=state.events.measured | missing)
+    measured = state.events.measured
+    measured = measured._replace(markers=np.full_like(measured.markers, np.nan))
+    events = state.events._replace(measured=measured)
     within = smoother.model, smoother.settings
     solved = jax.jit(partial(advancing._solve_window, *within))
     own, rival = (

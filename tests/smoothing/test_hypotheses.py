@@ -180,8 +180,8 @@ def test_a_forearm_that_points_the_other_way_is_turned_to_its_goals_before_a_sol
 @pytest.mark.parametrize("degrees", [(0, -90), (70, 70)])
 def test_an_arm_without_a_marker_is_found_by_turning_it_about_shoulder_and_elbow(degrees):
     measured = measurements(COUNT)
-    measured["markers"][:, 2] = np.nan
-    unmarked = unmarked_arms(PERSON.tree, MODEL.markers, measured["markers"])
+    measured.markers[:, 2] = np.nan
+    unmarked = unmarked_arms(PERSON.tree, MODEL.markers, measured.markers)
     assert not unmarked[:, 0].any() and unmarked[:, 1].all()
     given = problem(COUNT, views(COUNT), measured)
     away = np.radians([[0, 0, 0], [*degrees, 0]]).astype(np.float32)

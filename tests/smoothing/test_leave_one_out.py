@@ -49,9 +49,8 @@ def stated(given: SmoothingProblem, trajectory: Trajectory | None = None) -> np.
 def test_what_is_left_out_counts_as_if_it_had_not_been_there(left_out):
     everything = problem(COUNT, views(COUNT, BOTH))
     np.testing.assert_allclose(of(left_out, "nothing"), stated(everything), rtol=1e-5)
-    measured = measurements(COUNT)
-    fewer = {**measured, "markers": measured["markers"].copy()}
-    fewer["markers"][:, 1] = np.nan
+    fewer = measurements(COUNT)
+    fewer.markers[:, 1] = np.nan
     without = problem(COUNT, views(COUNT, BOTH), fewer)
     np.testing.assert_allclose(of(left_out, "marker", 1), stated(without), rtol=1e-5)
     for camera, other in ((0, 1), (1, 0)):

@@ -180,7 +180,7 @@ def test_without_silhouettes_the_elbows_are_guesses(weightless, by_one_camera):
 
 def test_missing_markers_are_bridged():
     measured = measurements(COUNT)
-    measured["markers"][5:10, 1], measured["markers"][12] = np.nan, np.nan
+    measured.markers[5:10, 1], measured.markers[12] = np.nan, np.nan
     actual = smoothed(measured=measured)
     assert all(np.isfinite(part).all() for part in actual.trajectory.poses)
     off = points_of(actual.trajectory.poses) - points_of(truth(COUNT))
@@ -192,7 +192,7 @@ def test_missing_markers_are_bridged():
 
 def test_a_frame_without_measurements_lies_between_its_neighbours(by_one_camera):
     measured, there = measurements(COUNT), np.delete(np.arange(COUNT), 8)
-    measured["markers"][8] = np.nan
+    measured.markers[8] = np.nan
     actual = smoothed(views(COUNT, frames=there), measured)
     off = points_of(actual.trajectory.poses) - points_of(by_one_camera.trajectory.poses)
     assert np.linalg.norm(off[8], axis=-1).max() < 0.01
@@ -231,24 +231,24 @@ MARKED_FEET = replace(
 
 def priced(pose, frame, settings=SETTINGS, step=STILL, model=MODEL) -> float:
     """The sum of squares of a frame."""
-    missing = len(model.markers.bones) - len(frame["markers"])
-    markers = jnp.pad(frame["markers"], ((0, missing), (0, 0)), constant_values=jnp.nan)
-    given = frame | {"markers": markers}
+    missing = len(model.markers.bones) - len(frame.markers)
+    markers = jnp.pad(frame.markers, ((0, missing), (0, 0)), constant_values=jnp.nan)
+    given = frame._replace(markers=markers)
     return float(jnp.sum(moved(step, pose, given, settings, model) ** 2))
 
 
 def test_a_marker_off_its_place_costs_by_its_deviation():
     pose, frame = one_frame()
     deviation = SETTINGS.markers.deviation
-    off = frame | {"markers": frame["markers"].at[1, 2].add(3 * deviation)}
+    off = frame._replace(markers=frame.markers.at[1, 2].add(3 * deviation))
     assert priced(pose, off) - priced(pose, frame) == pytest.approx(9, rel=1e-2)
-    gone = frame | {"markers": frame["markers"].at[1].set(jnp.nan)}
+    gone = frame._replace(markers=frame.markers.at[1].set(jnp.nan))
     assert priced(pose, gone) == pytest.approx(priced(pose, frame), rel=1e-3)
 
 
 def test_a_missing_marker_leaves_the_derivatives_finite():
     pose, frame = one_frame()
-    gone = frame | {"markers": jnp.full_like(frame["markers"], jnp.nan)}
+    gone = frame._replace(markers=jnp.full_like(frame.markers, jnp.nan))
     assert np.isfinite(np.asarray(SLOPES(STILL, pose, gone, SETTINGS))).all()
     assert np.isfinite(priced(pose, gone))
 
@@ -289,7 +289,7 @@ def test_a_body_that_turns_or_leans_from_the_markers_pose_costs():
 
 def test_feet_that_a_marker_holds_are_left_to_it():
     pose, frame = one_frame()
-    lifted = frame | {"ankles": frame["ankles"] + 0.2}
+    lifted = frame._replace(ankles=frame.ankles + 0.2)
     assert priced(pose, lifted) > priced(pose, frame) + 1
     held, own = (priced(pose, each, model=MARKED_FEET) for each in (lifted, frame))
     assert held == pytest.approx(own, rel=1e-6)
@@ -297,7 +297,7 @@ def test_feet_that_a_marker_holds_are_left_to_it():
 
 def test_free_feet_stand_below_the_centre_of_gravity():
     pose, frame = one_frame()
-    aside = frame | {"ankles": frame["ankles"] + np.array([0.15, 0.0, 0.0], np.float32)}
+    aside = frame._replace(ankles=frame.ankles + np.array([0.15, 0.0, 0.0], np.float32))
     there = 0.15 * np.eye(len(STILL), dtype=np.float32)[0]
     firm = replace(ADRIFT, balance=SETTINGS.balance)
     # The whole body moves, and stays as balanced as it was.

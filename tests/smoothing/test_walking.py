@@ -9,7 +9,7 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.model_files import habits_of
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.posture import USUAL, UsualPlaces
-from jaxmocap.evidence.terms import posed_body
+from jaxmocap.evidence.terms import Measurements, posed_body
 from jaxmocap.hybrid.functions import solve
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.smoothing.walking import Walk, usual_habits, walkers_measurements
@@ -87,11 +87,11 @@ def test_the_term_is_white_about_the_usual_places():
     def residual_of(pose, measured):
         return term.residual(model, posed_body(model, pose), measured)
 
-    residual = np.asarray(residual_of(pose, {"usual": own}))
+    residual = np.asarray(residual_of(pose, Measurements(usual=own)))
     assert residual.shape == (len(USUAL), 3)
     # Of ankles and pelvis the height is open.
     np.testing.assert_allclose(residual[2:, 2], 0.0, atol=1e-5)
-    assert len(residual_of(pose, {})) == 0
+    assert len(residual_of(pose, Measurements())) == 0
 
 
 def test_the_numbers_are_those_of_the_people(recordings):

@@ -20,6 +20,7 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.capture.timeline import Timeline
 from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes, project_limbs
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.outlines import Discs, touch
 from jaxmocap.geometry.rotations import quaternion_to_matrix
@@ -156,25 +157,18 @@ def views(count: int, cameras=(0,), frames=None) -> Views:
     return jax.tree.map(lambda *each: np.concatenate(each), *parts)
 
 
-def measurements(count: int) -> dict[str, np.ndarray]:
+def measurements(count: int) -> Measurements:
     """Of each frame: markers on head and wrists, and what their own pose would be."""
     poses = on_device(truth(count))
     points = points_of(truth(count))
     R = np.asarray(_turns(poses.quaternion))
     ankles = points[:, [LANDMARKS.index(f"ankle_{side}") for side in "lr"]]
-    measured = {
-        "markers": places_of(poses),
-        "upright": R[:, :2, 2],
-        "facing": R[:, :, 0],
-        "ankles": ankles,
-        "elbows": np.full((count, 2, 3), np.nan),
-    }
-    return {name: np.array(part, np.float32) for name, part in measured.items()}
+    unseen = np.full((count, 2, 3), np.nan)
+    each = places_of(poses), R[:, :2, 2], R[:, :, 0], ankles, unseen
+    return Measurements(*(np.array(part, np.float32) for part in each))
 
 
-def problem(
-    count: int, shown: Views, measured: dict[str, np.ndarray] | None = None
-) -> SmoothingProblem:
+def problem(count: int, shown: Views, measured: Measurements | None = None) -> SmoothingProblem:
     """Everything that was measured of the motion."""
     measured = measurements(count) if measured is None else measured
     return SmoothingProblem(MODEL, SETTINGS, np.arange(count) / RATE, measured, shown)

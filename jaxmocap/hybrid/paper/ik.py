@@ -170,7 +170,7 @@ def reach(
         The pose and the number of iterations.
     """
     moving = jnp.ones(model.skeleton.costs.shape, bool) if free is None else free
-    follows = "elbows" in measured
+    follows = measured.elbows is not None
     least = settings.following if follows else settings.settle
 
     def unfinished(carry: tuple[Array, Pose, Array, Array]) -> Array:

@@ -93,7 +93,7 @@ def plan_cameras(
         return float(mean_deviation(smoothing, with_cameras(information, cameras), weights))
 
     information = of_markers(model, smoothing, moments)
-    frame = frame_of(information, np.asarray(moments.measured["facing"]))
+    frame = frame_of(information, np.asarray(moments.measured.facing))
     goal = Goal(skeleton, smoothing, information, frame, lens, rate, weights)
     best, rings, placed, stature = [], [], [], skeleton_stature(skeleton)
     with progress_bar("placing cameras", progress, "compiling") as show:

@@ -17,6 +17,7 @@ from jaxmocap.body.model import Model, marker_sites, on_unmarked_feet
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, WINTER, Skeleton
 from jaxmocap.calibration.fitting.camera_plan.expected import Movement
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording
 from jaxmocap.geometry.cameras import Camera
@@ -112,11 +113,10 @@ def movement_of(subject: Subject) -> Movement:
     """The movement as the terms of its model ask for it."""
     model, poses, times = subject.model, subject.poses, subject.times
     on = np.asarray(_sites(model.skeleton, model.markers, poses))
-    measured: dict[str, np.ndarray] = {
-        **references(model.skeleton, times.ravel(), poses),
-        "markers": np.where(subject.measured[..., None], on, np.nan),
-        "elbows": np.full((times.size, 2, 3), np.nan),
-    }
+    measured = references(model.skeleton, times.ravel(), poses)._replace(
+        markers=np.where(subject.measured[..., None], on, np.nan),
+        elbows=np.full((times.size, 2, 3), np.nan),
+    )
 
     def in_stretches(part: np.ndarray) -> jax.Array:
         return jnp.asarray(part, model.dtype).reshape(*times.shape, *np.shape(part)[1:])
@@ -135,4 +135,4 @@ def settings_for(model: Model, settings: SmoothingSettings, moments: Movement) -
     """With errors that are alike counted once."""
     times = np.asarray(moments.times, float)
     weighted = weigh_by_time(settings, times)
-    return count_once(SmoothingProblem(model, weighted, times, {}, Views.no_cameras()))
+    return count_once(SmoothingProblem(model, weighted, times, Measurements(), Views.no_cameras()))

@@ -8,7 +8,7 @@ INPUTS: a Recording, where the person is at first. OUTPUTS: a Motion, and the le
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -24,6 +24,7 @@ from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.photographs import read_empty_room
 from jaxmocap.capture.timeline import bundle_frames
 from jaxmocap.capture.video import FrameSource, check_video_size, open_video
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.background_model import Background
 from jaxmocap.outputs.report import plain
@@ -92,14 +93,16 @@ class _Footage(NamedTuple):
                 images = [reader.at(int(k)) for reader, k in zip(readers, row, strict=True)]
                 yield FrameBundle(float(time), images, *self._beside(instant))
 
-    def _beside(self, instant: int) -> tuple[dict[str, Any], Pose | None]:
+    def _beside(self, instant: int) -> tuple[Measurements, Pose | None]:
         """What was measured at an instant besides its images, and where that has the person."""
-        measured: dict[str, Any] = {}
+        measured = Measurements()
         if self.positions_world is not None:
-            measured["markers"] = self.positions_world[instant].astype(np.float32)
+            markers = self.positions_world[instant].astype(np.float32)
+            measured = measured._replace(markers=markers)
         if self.guide is None:
             return measured, None
-        measured["sight_lines"] = jax.tree.map(lambda part: part[instant], self.guide.lines)
+        lines = jax.tree.map(lambda part: part[instant], self.guide.lines)
+        measured = measured._replace(sight_lines=lines)
         return measured, self.guide.pose_at(instant) if self.guide.is_detected[instant] else None
 
 

@@ -197,7 +197,7 @@ def first_pass(
         >>> from jaxmocap import Recording, Settings, first_pass
         >>> recording = Recording.load("recording.toml")
         >>> events = first_pass(recording, Settings(refine="none"))
-        >>> events.measured["markers"].shape == recording.positions_world.shape
+        >>> events.measured.markers.shape == recording.positions_world.shape
         True
     """
     opened = open_recording(recording)
@@ -209,8 +209,8 @@ def first_pass(
     measured = measurements_of(tracker.model, found)
     points = landmarks_over_time(tracker.model.skeleton, found.poses)
     filmed = np.any(found.frame_index >= 0, -1, keepdims=True)[..., None]
-    measured["elbows"] = np.where(filmed, points[:, ELBOWS], np.nan)
+    measured = measured._replace(elbows=np.where(filmed, points[:, ELBOWS], np.nan))
     grids = silhouettes_of(tracker.model, found, cached_frames(used, ROWS)) if used else None
-    parts = (found.times - found.times[0], dict(measured), found.poses, grids)
+    parts = (found.times - found.times[0], measured, found.poses, grids)
     dtype = tracker.model.dtype
     return Events(*jax.tree.map(lambda part: on_device(part, dtype), parts))

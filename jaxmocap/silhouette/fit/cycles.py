@@ -296,10 +296,11 @@ def term_evidence(model: Model, measured: Measurements, settings: Settings) -> T
     """
     count = len(model.markers.bone_indices)
     idle = (() if count else (MarkerPositions,)) + (
-        () if "sight_lines" in measured else (KeyPoints,)
+        (KeyPoints,) if measured.sight_lines is None else ()
     )
     terms = tuple(term for term in settings.terms if not isinstance(term, idle))
     if not terms:
         return None
-    missing = np.full((count, 3), np.nan, np.float32)
-    return TermEvidence(model, terms, {"markers": missing, **measured})
+    if measured.markers is None:
+        measured = measured._replace(markers=np.full((count, 3), np.nan, np.float32))
+    return TermEvidence(model, terms, measured)

@@ -98,7 +98,7 @@ def advance(
         is_last: () whether all that waits is given out.
     """
     events = state.events.join_news(news)
-    events = events._replace(measured={**events.measured, "markers": markers_world})
+    events = events._replace(measured=events.measured._replace(markers=markers_world))
     drawn = state.drawn and state.drawn.without_rows(state.events.filled, NEW)
     state = state._replace(events=events, drawn=drawn, pace=_pace(state.pace, events))
     weighed = with_lasting(settings, (state.pace * LASTING_HZ) ** -0.5)
@@ -141,7 +141,7 @@ def _solve_window(
     can_search = jnp.any(shown) & (events.filled > REACH)
     searched = state.searched + can_search.astype(jnp.int32)
     is_due = can_search & (searched % SEARCH_EVERY == 0)
-    unmarked = unmarked_arms(model.skeleton.tree, model.markers, events.measured["markers"])
+    unmarked = unmarked_arms(model.skeleton.tree, model.markers, events.measured.markers)
     # An arm without a marker is turned about its shoulder and, at the next search, about its elbow.
     free = jnp.where(searched > SEARCH_EVERY, ELBOW, SHOULDER)
     pivots = jnp.where(unmarked[newest], free, GRIP)

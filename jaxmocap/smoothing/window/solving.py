@@ -232,7 +232,9 @@ def _draw_again(
             parts = silhouettes_fit(model, settings.silhouettes, pose, shown, grids, soft)[:3]
             if events.lines is not None:
                 own = jax.tree.map(lambda part: jnp.asarray(part)[i], events.lines)
-                pose, own = jax.tree.map(lambda part: part[None], (pose, {"sight_lines": own}))
+                pose, own = jax.tree.map(
+                    lambda part: part[None], (pose, Measurements(sight_lines=own))
+                )
                 points = frames_fit((settings.keypoints,), model, nothing, pose, own)[:3]
                 parts = (one + other[0] for one, other in zip(parts, points, strict=True))
             cost, H, slope = parts

@@ -56,7 +56,7 @@ class Movement(NamedTuple):
 
     times: Array  # (T,) seconds of a stretch, evenly
     poses: Pose  # (S, T, ...) of the person
-    measured: Measurements  # name -> (S, T, ...) as the terms ask for it, without what cameras show
+    measured: Measurements  # (S, T, ...) without what cameras show
 
 
 class Information(NamedTuple):
