@@ -127,6 +127,7 @@ def check_measurements(name: str, model: Model, measured: Any, count: int) -> Me
         if part in shapes and value is not None:
             own = floating(f"{name}.{part}", value, (count, *shapes[part]), model.dtype, model)
             measured = measured._replace(**{part: own})
+            continue
         for leaf in jax.tree.leaves(value):
             check_shape(f"{name}.{part}", np.shape(leaf)[:1], (count,), "one row for each event")
     return measured
