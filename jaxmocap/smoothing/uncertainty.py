@@ -72,7 +72,7 @@ def with_deviations(
         alike = replace(soft, settings=count_once(soft))
         measured = _variances(alike, softness, workers, trajectory, prior)
         guessed = measured
-        if len(alike.views.frame) or "sight_lines" in alike.measured:
+        if len(alike.views.frame) or alike.measured.sight_lines is not None:
             blind = _without_video(alike)
             guessed = _variances(blind, softness, workers, trajectory, prior)
     mismatch = float(problem.settings.mismatch)

@@ -147,7 +147,7 @@ def test_a_landmark_costs_by_how_far_beyond_the_hips_it_is_against_the_detector(
     actual = term.residual(model, posed_body(model, pose), Measurements(sight_lines=lines))[0]
     expected = np.sign(off) * np.sqrt(TAILS * np.log1p(off**2 / TAILS))
     np.testing.assert_allclose(actual, expected, atol=1e-4)
-    assert not term.residual(model, posed_body(model, pose), {}).size
+    assert not term.residual(model, posed_body(model, pose), Measurements()).size
 
 
 def test_a_detector_s_person_gets_the_limbs_of_ours():

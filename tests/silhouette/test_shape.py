@@ -14,7 +14,6 @@ from jaxmocap.body.proportions import LENGTHS, scale_skeleton, stretch_points
 from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import BodyPoints, resample_surface, rest_nodes
-from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.cameras import stack_cameras
 from jaxmocap.silhouette.fit.correspond import ContourPairs
 from jaxmocap.silhouette.passes import PassLearner
@@ -219,5 +218,5 @@ def test_frames_in_which_a_part_is_hidden_say_nothing_of_the_shape(hidden):
     learner = PassLearner(constants, 1, estimator)  # type: ignore[arg-type]
     state = SimpleNamespace(body=SimpleNamespace(shape=shape), pose=np.zeros(0))
     report = SimpleNamespace(hidden=np.array([False, hidden]), pairs=None)
-    learner.add_frame(state, report, Measurements())  # type: ignore[arg-type]
+    learner.add_frame(state, report, {})  # type: ignore[arg-type]
     assert len(frames) == (not hidden)
