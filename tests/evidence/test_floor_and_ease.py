@@ -23,7 +23,7 @@ def test_feet_stand_on_the_floor_and_nothing_lies_below_it():
         points = np.zeros((len(LANDMARKS), 3), np.float32)
         points[:, 2] = heights + np.float32(above)
         body = SimpleNamespace(landmarks=jnp.asarray(points))
-        return float(jnp.sum(term.residual(None, body, {}) ** 2))  # type: ignore[arg-type]
+        return float(jnp.sum(term.residual(None, body, Measurements()) ** 2))  # type: ignore[arg-type]
 
     assert cost(0.0) == pytest.approx(0.0, abs=1e-4)
     assert cost(0.01) == pytest.approx((0.01 / float(term.height)) ** 2, rel=0.1)
@@ -64,7 +64,7 @@ def test_most_joints_are_near_ease_and_a_few_may_be_far():
 
     def cost(*angles: float) -> float:
         body = SimpleNamespace(pose=SimpleNamespace(angles=jnp.asarray(angles)))
-        return float(jnp.sum(term.residual(model, body, {}) ** 2))  # type: ignore[arg-type]
+        return float(jnp.sum(term.residual(model, body, Measurements()) ** 2))  # type: ignore[arg-type]
 
     assert cost(0.01, 0.0) == pytest.approx((0.01 / 0.5) ** 2, rel=1e-2)
     assert cost(0.0, 20.0) < 0.1 * 20.0**2
