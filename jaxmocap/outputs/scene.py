@@ -26,7 +26,6 @@ from jaxmocap.formats.time_series.tables import usual_step
 from jaxmocap.geometry.cameras import (
     NEAREST_M,
     Camera,
-    on_host,
     pixel_components_anywhere,
     to_camera,
 )
@@ -101,15 +100,6 @@ def _place(skeleton: Skeleton, poses: Pose) -> tuple[Array, Array, Array]:
     frames = jax.vmap(forward, (None, 0))(skeleton, poses)
     flesh = jax.vmap(lambda placed: cones(skeleton, placed, bones))(frames)
     return frames.R_world_bone, flesh.near, flesh.far
-
-
-def pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
-    """Pixels (..., 2) of (..., 3) world points; NaN behind the camera or where missing."""
-    x, y, z = np.moveaxis(to_camera(on_host(camera), np.asarray(points_world, float)), -1, 0)
-    ahead = z > NEAREST_M
-    depths = np.where(ahead, z, 1.0)
-    xy = pixel_components_anywhere(on_host(camera), x / depths, y / depths)
-    return np.where(ahead[..., None], np.stack(xy, -1), np.nan)
 
 
 def limb_outlines(
