@@ -444,7 +444,7 @@ def test_missing_markers_are_no_mistake(sound):
 # What the checks stand on ------------------------------------------------------------------------
 
 
-def test_the_standing_body_is_the_one_of_the_kinematics(sound):
+def test_the_standing_body_is_the_one_of_the_kinematics():
     skeleton = Skeleton.human(1.75)
     landmarks = ("vertex", "wrist_l", "wrist_r", "ankle_l", "ankle_r")
     pose = Pose(jnp.zeros(3), jnp.array([1.0, 0, 0, 0]), jnp.zeros(len(skeleton.tree.joints)))
