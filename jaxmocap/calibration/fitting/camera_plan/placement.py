@@ -174,6 +174,7 @@ class BestPlace(NamedTuple):
 
     place: CameraPlace
     error: float  # that is expected there, metres
+    slope: CameraPlace  # its derivatives by the place's numbers
 
 
 def best_place(goal: Goal, bounds: Bounds, ring: Ring, show: Callable[[float], None]) -> BestPlace:
@@ -187,7 +188,9 @@ def best_place(goal: Goal, bounds: Bounds, ring: Ring, show: Callable[[float], N
         found.append(_improve_place(goal, bounds, start))
         show((k + 1) / len(starts))
     place = _place(goal, min(found, key=lambda each: each[0])[1])
-    return BestPlace(CameraPlace(*map(float, place)), float(error_at(goal, place)))
+    error, slope = error_and_slope(goal, place)
+    numbers = (CameraPlace(*map(float, each)) for each in (place, slope))
+    return BestPlace(next(numbers), float(error), next(numbers))
 
 
 def _starts(ring: Ring) -> list[np.ndarray]:
