@@ -185,19 +185,16 @@ class WrongTurns:
     longest: np.ndarray
 
 
-def wrong_turns(
-    times: np.ndarray, alone: np.ndarray, video: np.ndarray, worse_by: float = WORSE_BY_M
-) -> WrongTurns:
-    """Samples at which video's error exceeds the other by more than ``worse_by``.
+def wrong_turns(times: np.ndarray, alone: np.ndarray, video: np.ndarray) -> WrongTurns:
+    """Samples at which video's error exceeds the other by more than ``WORSE_BY_M``.
 
     Args:
         times: (N,) seconds.
         alone: (N, J) errors by markers alone, metres; NaN where unknown.
         video: (N, J) errors with video, likewise. Unknown samples count neither way.
-        worse_by: metres.
     """
     is_measured = np.isfinite(alone) & np.isfinite(video)
-    wrong = is_measured & (video > alone + worse_by)
+    wrong = is_measured & (video > alone + WORSE_BY_M)
     counts = is_measured.sum(0)
     share = np.where(counts > 0, wrong.sum(0) / np.maximum(counts, 1), np.nan)
     step = sample_step(times)

@@ -120,9 +120,9 @@ def _stretched(elevation: float, outward: float) -> Posture:
     return _reaching((x, y, z), 30)
 
 
-def _curled(bend: float, out: float = 8.0) -> Posture:
+def _curled(bend: float) -> Posture:
     """Upper arms hanging, elbows bent by so many degrees."""
-    out, bend = np.radians([out, bend])
+    out, bend = np.radians([8.0, bend])
     upper = np.array([np.sin(out) * np.cos(1.4), np.sin(out) * np.sin(1.4), -np.cos(out)])
     fore = np.array([np.sin(bend), np.sin(out), -np.cos(bend)])
     fore /= np.linalg.norm(fore)

@@ -62,13 +62,12 @@ MARGIN_PX, MARGIN = 12.0, 0.08
 MOG2_VIDEO, MOG2_EMPTY = "MOG2, of the video", "MOG2, of the empty room"
 
 
-def region_about_mask(mask: np.ndarray, size: int, finest: float = 1.0) -> Region:
+def region_about_mask(mask: np.ndarray, size: int) -> Region:
     """The window of ``size`` cells about a mask (H, W) bool; about the whole image if it is empty.
 
     Args:
         mask: where the person is expected.
         size: cells to a side.
-        finest: pixels per cell at least.
     """
     rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
     if not len(rows):
@@ -77,7 +76,7 @@ def region_about_mask(mask: np.ndarray, size: int, finest: float = 1.0) -> Regio
     high = np.array([columns[-1], rows[-1]], float)
     extent = float((high - low).max()) + 1
     # Of whole pixels, as ``crop`` takes it.
-    side = float(np.ceil(max(extent * (1 + 2 * MARGIN) + 2 * MARGIN_PX, finest * size)))
+    side = float(np.ceil(max(extent * (1 + 2 * MARGIN) + 2 * MARGIN_PX, size)))
     origin = np.round((low + high) / 2 - side / 2) - 0.5
     return Region(origin.astype(np.float32), np.array(side / size, np.float32))
 

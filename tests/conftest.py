@@ -39,7 +39,9 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.cli.program import main
 from jaxmocap.compilation.programs import EFFORTS
+from jaxmocap.formats.cameras.calibration import camera_of, read_sections
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.geometry.cameras import Camera
 from jaxmocap.pipelines.kept_programs import keep_compiled
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -118,11 +120,24 @@ def complaint(read, *arguments, **options) -> str:
     return text
 
 
+def written(folder: Path, name: str, content: str | bytes) -> Path:
+    """A file of that content."""
+    path = folder / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
 def problem_of(read, path: Path, *arguments) -> str:
     """What a file is refused with, behind its name."""
     text = complaint(read, path, *arguments)
     assert text.startswith(f"{path}: ")
     return text.removeprefix(f"{path}: ")
+
+
+def read_calibration(path: Path) -> dict[str, Camera]:
+    """Every camera of a calibration file."""
+    sections = read_sections(path)
+    return {name: camera_of(path, sections, name) for name in sections}
 
 
 MEASURED = """

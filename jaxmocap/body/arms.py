@@ -281,9 +281,9 @@ def side_of(arms: Arms, side: int | Array) -> Arms:
     return jax.tree.map(lambda part: part[side], arms)
 
 
-def turn_arms(arms: Arms, turns: Array | np.ndarray = TURNS) -> tuple[Arms, Array]:
+def turn_arms(arms: Arms) -> tuple[Arms, Array]:
     """Candidates (2, K) of both arms, and by how much (2, K) their shoulders give way."""
-    turns = jnp.asarray(turns, arms.elbow.dtype)
+    turns = jnp.asarray(TURNS, arms.elbow.dtype)
     return jax.vmap(jax.vmap(_turn_arm, (None, 0)), (0, None))(arms, turns)
 
 

@@ -38,15 +38,22 @@ def read_model(name: str | Path) -> ModelFile:
     data = _data(name)
     own = data.get("bone", [])
     if "bones_of" not in data:
-        return ModelFile(own, _joint_rows(name), data["root"])
+        return ModelFile(own, joint_rows(name), data["root"])
     source = read_model(_beside(name, data["bones_of"]))
-    return ModelFile([*source.bones, *own], _joint_rows(name), data.get("root", source.root))
+    return ModelFile([*source.bones, *own], joint_rows(name), data.get("root", source.root))
 
 
 @cache
 def joint_rows(name: str | Path) -> list[dict]:
-    """The joints alone: of a body, or of a file that only adds joints to bodies."""
-    return _joint_rows(name)
+    """The joints alone: of a body, or of a file that only adds joints to bodies.
+
+    First those that it takes from other files, all or some, then its own.
+    """
+    data, taken = _data(name), []
+    for source in data.get("joints_of", []):
+        rows = {row["name"]: row for row in joint_rows(_beside(name, source["file"]))}
+        taken += [rows[joint] for joint in source.get("names", rows)]
+    return taken + data.get("joint", [])
 
 
 def landmark_rows_of(name: str | Path) -> list[dict]:
@@ -98,16 +105,7 @@ def bodies() -> tuple[str, ...]:
 def joints_of_models() -> dict[str, dict]:
     """Joint -> its row, of all files in ``body/data``."""
     names = [*bodies(), MARKED, "wrists.toml"]
-    return {row["name"]: row for name in names for row in _joint_rows(name)}
-
-
-def _joint_rows(name: str | Path) -> list[dict]:
-    """A file's joints: those that it takes from other files, all or some, then its own."""
-    data, taken = _data(name), []
-    for source in data.get("joints_of", []):
-        rows = {row["name"]: row for row in _joint_rows(_beside(name, source["file"]))}
-        taken += [rows[joint] for joint in source.get("names", rows)]
-    return taken + data.get("joint", [])
+    return {row["name"]: row for name in names for row in joint_rows(name)}
 
 
 def _beside(name: str | Path, other: str) -> str | Path:

@@ -14,9 +14,10 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.compilation.arrays import on_device
+from jaxmocap.compilation.batches import GatheredRows
 from jaxmocap.compilation.programs import Program
 from jaxmocap.geometry.origin import local_origin
-from jaxmocap.geometry.rows import GatheredRows, Index
+from jaxmocap.geometry.rows import Index
 
 # A report's arrays with a row for each sample.
 SAMPLED = ("marker_errors", "arm_costs", "swivels", "landmarks_std", "from_prior")

@@ -14,12 +14,11 @@ import cv2
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from jaxmocap.capture.checks.cameras import project_to_pixels
 from jaxmocap.capture.filters import butterworth_low_pass
 from jaxmocap.capture.markers import GAP_INTERVALS
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.time_series.tables import usual_step
-from jaxmocap.geometry.cameras import Camera, depth, on_host, pixels_per_metre
+from jaxmocap.geometry.cameras import Camera, depth, on_host, pixels_per_metre, visible_pixels
 
 # Flow is computed on images of at most so many pixels a side,
 MAX_SIDE_PX = 640
@@ -106,7 +105,7 @@ class HandFlow:
         is_valid = np.isfinite(points).all(-1)
         xy = np.full((len(points), 2), np.nan)
         if is_valid.any():
-            xy[is_valid] = project_to_pixels(self.camera, points[is_valid])
+            xy[is_valid] = visible_pixels(self.camera, points[is_valid])
         camera = on_host(self.camera)
         return xy, HAND_HALF_SIDE_M * np.asarray(pixels_per_metre(camera, depth(camera, points)))
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from jaxmocap.cli.command import names
+from jaxmocap.cli.command import names, positive_number, whole_number
 from jaxmocap.formats.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,6 +24,15 @@ REFINEMENTS = ("search", "simplex", "gradient", "none")
 def add_cameras(parser: argparse.ArgumentParser, help_text: str) -> None:
     """The option --cameras."""
     parser.add_argument("--cameras", metavar="A,B", type=names, help=help_text)
+
+
+def add_demo(parser: argparse.ArgumentParser, out: str, seconds: float, seeded: str) -> None:
+    """The options --out, --seconds and --seed of a recording that is made."""
+    add = parser.add_argument
+    add("--out", metavar="DIR", default=out, help="default: %(default)s")
+    length = "of the recording, up to 3600; default: %(default)s"
+    add("--seconds", type=positive_number, default=seconds, help=length)
+    add("--seed", type=whole_number, default=0, help=f"of {seeded} and noise; default: 0")
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:

@@ -15,6 +15,27 @@ import numpy as np
 WAITING = 8
 
 
+class GatheredRows:
+    """A tree of arrays (N, ...) that is filled some rows at a time: none is in memory twice.
+
+    Attributes:
+        tree: of the arrays; None before the first rows.
+    """
+
+    def __init__(self, count: int):
+        """Of so many rows."""
+        self._count = count
+        self.tree: Any = None
+
+    def put(self, first: int, part: Any) -> None:
+        """Rows from that one on, of which those beyond the last are left out."""
+        if self.tree is None:
+            room = lambda some: np.empty((self._count, *some.shape[1:]), some.dtype)  # noqa: E731
+            self.tree = jax.tree.map(room, part)
+        for every, some in zip(jax.tree.leaves(self.tree), jax.tree.leaves(part), strict=True):
+            every[first : first + len(some)] = some[: self._count - first]
+
+
 def in_batches(
     call: Callable, stacked: tuple[Any, ...], size: int, workers: ThreadPoolExecutor | None = None
 ) -> list[np.ndarray]:
@@ -28,15 +49,11 @@ def in_batches(
         result = call(*jax.tree.map(lambda part: np.asarray(part)[rows], stacked))
         return [np.asarray(part, np.float64) for part in jax.tree.leaves(result)]
 
-    each = _beside(of_batch, _batches(count, size), workers)
-    # Filled as they come: in parts and joined, all of it would be in memory twice.
-    joined: list[np.ndarray] = []
-    for i, parts in enumerate(each):
-        first = i * size
-        joined = joined or [np.empty((count, *part.shape[1:])) for part in parts]
-        for every, some in zip(joined, parts, strict=True):
-            every[first : first + size] = some[: count - first]
-    return joined
+    firsts, gathered = range(0, count, size), GatheredRows(count)
+    batches = (np.minimum(np.arange(first, first + size), count - 1) for first in firsts)
+    for first, parts in zip(firsts, _beside(of_batch, batches, workers), strict=True):
+        gathered.put(first, parts)
+    return gathered.tree or []
 
 
 def _beside(
@@ -52,8 +69,3 @@ def _beside(
         if len(waiting) > WAITING:
             yield waiting.popleft().result()
     yield from (each.result() for each in waiting)
-
-
-def _batches(count: int, size: int) -> Iterator[np.ndarray]:
-    for first in range(0, count, size):
-        yield np.minimum(np.arange(first, first + size), count - 1)

@@ -213,6 +213,16 @@ def pixel_components_anywhere(
     return where(near, bent[0], plain[0]), where(near, bent[1], plain[1])
 
 
+def visible_pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
+    """Pixels (..., 2) of (..., 3) world points, in double precision; NaN behind or missing."""
+    camera = on_host(camera)
+    x, y, z = camera_components(camera, *np.moveaxis(np.asarray(points_world, float), -1, 0))
+    ahead = z > NEAREST_M
+    depths = np.where(ahead, z, 1.0)
+    xy = pixel_components_anywhere(camera, x / depths, y / depths)
+    return np.where(ahead[..., None], np.stack(xy, -1), np.nan)
+
+
 def _from_plane(camera: Camera, x: Component, y: Component) -> tuple[Component, Component]:
     M = camera.matrix
     return M[0, 0] * x + M[0, 1] * y + M[0, 2], M[1, 1] * y + M[1, 2]

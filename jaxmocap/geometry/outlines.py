@@ -8,6 +8,7 @@ OUTPUTS: discs on the plane z = 1, outline points with the length that each stan
 distances to the hull.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -25,32 +26,10 @@ class Discs(NamedTuple):
     radii: Array  # (..., 2) of the two
 
 
-class Outline(NamedTuple):
-    """Points on the hull."""
-
-    points: Array  # (..., K, 2)
-    weights: Array  # (..., K) the length of outline that each point stands for, in the plane's unit
-    normals: Array  # (..., K, 2) unit, outwards
-
-
 def project_limb(near_cam: Array, far_cam: Array, radii: Array) -> Discs:
     """Discs on the plane z = 1 of spheres at (..., 3) camera points with (..., 2) radii, metres."""
     depths = jnp.stack([near_cam[..., 2], far_cam[..., 2]], -1)
     return Discs(normalise(near_cam), normalise(far_cam), radii / jnp.maximum(depths, NEAREST_M))
-
-
-def _tangents(discs: Discs) -> tuple[Array, Array, Array, Array]:
-    """Axis direction, its left normal, sine and cosine of the taper; smooth when end-on."""
-    axis = discs.far - discs.near
-    squared = jnp.sum(axis**2, -1, keepdims=True)
-    end_on = squared < 1e-12
-    length = jnp.sqrt(jnp.where(end_on, 1e-12, squared))
-    u = jnp.where(end_on, jnp.array([1.0, 0.0], axis.dtype), axis / length)
-    sine = (discs.radii[..., :1] - discs.radii[..., 1:]) / length
-    # One disc within the other has no tangents: the hull is the larger disc alone.
-    sine = jnp.clip(sine, -0.999, 0.999)
-    cosine = jnp.sqrt(1 - sine**2)
-    return u, jnp.stack([-u[..., 1], u[..., 0]], -1), sine, cosine
 
 
 class Pieces(NamedTuple):
@@ -70,7 +49,10 @@ class Pieces(NamedTuple):
 def outline_pieces(
     x: Array, y: Array, radii: Array, along: int, around: int, open_ends: Array
 ) -> tuple[Pieces, Pieces]:
-    """The hulls' sides and arcs by components; what ``outline`` gives in rows of points.
+    """The hulls' sides, left and right of the axis, and their arcs, near and far.
+
+    An arc whose end is closed (0 in ``open_ends``; another limb goes on there) counts only as far
+    as the limb is seen end-on, when the arcs are all that is left of the outline.
 
     Args:
         x: (2, ...) of the discs' centres, near and far.
@@ -78,7 +60,7 @@ def outline_pieces(
         radii: (2, ...), of as many axes.
         along: points on each side.
         around: points on each arc.
-        open_ends: (2, ...) of as many axes, as for ``outline``.
+        open_ends: (2, ...) of as many axes, 1 where the near or far end is free, else 0.
     """
 
     def rows(values: Array | np.ndarray) -> Array:
@@ -113,8 +95,13 @@ def outline_pieces(
     return sides, Pieces(x[:, None] + r * n_x, y[:, None] + r * n_y, weights, n_x, n_y)
 
 
-def hull_axes(x: Array, y: Array, radii: Array) -> tuple[Array, Array, Array, Array]:
-    """Of hulls: unit vectors from near to far, by components; lengths; sines of the tapers."""
+def hull_axes(
+    x: Array | Sequence[Array], y: Array | Sequence[Array], radii: Array | Sequence[Array]
+) -> tuple[Array, Array, Array, Array]:
+    """Of hulls: unit vectors from near to far, by components; lengths; sines of the tapers.
+
+    By two discs' (...) centres and radii; smooth when end-on.
+    """
     ahead_x, ahead_y = x[1] - x[0], y[1] - y[0]
     squared = ahead_x**2 + ahead_y**2
     end_on = squared < 1e-12
@@ -124,40 +111,6 @@ def hull_axes(x: Array, y: Array, radii: Array) -> tuple[Array, Array, Array, Ar
     # One disc within the other has no tangents: the hull is the larger disc alone.
     sine = jnp.clip((radii[0] - radii[1]) / length, -0.999, 0.999)
     return u_x, u_y, jnp.sqrt(squared + 1e-12), sine
-
-
-def join_pieces(pieces: tuple[Pieces, Pieces]) -> Outline:
-    """The points of sides and arcs in rows, of hulls of any shape (...)."""
-
-    def row(name: str) -> Array:
-        parts = [jnp.broadcast_to(getattr(part, name), part.x.shape) for part in pieces]
-        flat = [part.reshape(-1, *part.shape[2:]) for part in parts]
-        return jnp.moveaxis(jnp.concatenate(flat), 0, -1)
-
-    points, normals = (
-        jnp.stack([row(x), row(y)], -1) for x, y in (("x", "y"), ("normal_x", "normal_y"))
-    )
-    return Outline(points, row("weights"), normals)
-
-
-def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
-    """Sample the hull: ``along`` points on each tangent line, ``around`` on each end's arc.
-
-    An arc whose end is closed (0 in ``open_ends``; another limb goes on there) counts only as far
-    as the limb is seen end-on, when the arcs are all that is left of the outline.
-
-    Args:
-        discs: (...) limbs.
-        along: points on each side.
-        around: points on each arc.
-        open_ends: (..., 2) 1 where the near or far end is free, else 0.
-    """
-    centres = jnp.moveaxis(jnp.stack([discs.near, discs.far]), -1, 0)
-    radii, ends = (
-        jnp.moveaxis(jnp.broadcast_to(part, discs.radii.shape), -1, 0)
-        for part in (discs.radii, open_ends)
-    )
-    return join_pieces(outline_pieces(centres[0], centres[1], radii, along, around, ends))
 
 
 class Touch(NamedTuple):
@@ -188,20 +141,17 @@ class Swept(NamedTuple):
 
 def swept(discs: Discs) -> Swept:
     """Limbs (...) ready to be touched."""
-    u, _, sine, cosine = _tangents(discs)
-    length = jnp.sqrt(jnp.sum((discs.far - discs.near) ** 2, -1) + 1e-12)
-    gap = discs.radii[..., 0] - discs.radii[..., 1]
+    x, y = ((discs.near[..., i], discs.far[..., i]) for i in (0, 1))
+    radii = discs.radii[..., 0], discs.radii[..., 1]
+    u_x, u_y, length, sine = hull_axes(x, y, radii)
+    gap = radii[0] - radii[1]
     # End-on, the larger disc holds the other and is the hull.
     end_on = length <= jnp.abs(gap)
     first, last = (
         jnp.asarray(end, length.dtype) for end in (end_on & (gap <= 0), ~(end_on & (gap > 0)))
     )
-    lag = sine[..., 0] / cosine[..., 0] / length
-    near, radius = discs.near, discs.radii[..., 0]
-    return Swept(
-        near[..., 0], near[..., 1], u[..., 0], u[..., 1], length, 1 / length, lag, first, last,
-        radius, gap,
-    )  # fmt: skip
+    lag = sine / jnp.sqrt(1 - sine**2) / length
+    return Swept(x[0], y[0], u_x, u_y, length, 1 / length, lag, first, last, radii[0], gap)
 
 
 def touch(discs: Discs, x: Array, y: Array) -> Touch:

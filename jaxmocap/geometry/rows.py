@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import jax
 import numpy as np
 
 Index = slice | np.ndarray
@@ -40,29 +39,6 @@ class ComputedRows:
         if isinstance(rows, int):
             return self.compute(np.array([rows]))[0]
         return self.compute(rows)
-
-
-class GatheredRows:
-    """A tree of arrays (N, ...) that is filled some rows at a time: none is in memory twice.
-
-    Attributes:
-        tree: of the arrays; None before the first rows.
-    """
-
-    def __init__(self, count: int):
-        """Of so many rows."""
-        self._count = count
-        self.tree: Any = None
-
-    def put(self, first: int, part: Any) -> None:
-        """Rows from that one on, of which those beyond the last are left out."""
-        if self.tree is None:
-            self.tree = jax.tree.map(self._room_for, part)
-        for every, some in zip(jax.tree.leaves(self.tree), jax.tree.leaves(part), strict=True):
-            every[first : first + len(some)] = some[: self._count - first]
-
-    def _room_for(self, part: np.ndarray) -> np.ndarray:
-        return np.empty((self._count, *part.shape[1:]), part.dtype)
 
 
 def map_rows(rows: Rows, function: Callable[[np.ndarray], np.ndarray]) -> ComputedRows:

@@ -40,13 +40,14 @@ def limb_solid(reach: np.ndarray, radii: np.ndarray) -> Solid:
     normals = np.cos(lifts)[:, None, None] * around + np.sin(lifts)[:, None, None] * axis
     far = np.repeat([0.0, 1.0], RINGS)[:, None, None]
     vertices = far * reach + np.repeat(radii, RINGS)[:, None, None] * normals
-    return Solid(vertices.reshape(-1, 3), normals.reshape(-1, 3), _ring_triangles())
+    return Solid(
+        vertices.reshape(-1, 3), normals.reshape(-1, 3), ring_triangles(2 * RINGS, CORNERS)
+    )
 
 
-def _ring_triangles() -> np.ndarray:
-    """Two triangles for each face between neighbouring rings."""
-    ring, corner = np.divmod(np.arange((2 * RINGS - 1) * CORNERS), CORNERS)
-    right = (corner + 1) % CORNERS
-    a, b = ring * CORNERS + corner, ring * CORNERS + right
-    c, d = b + CORNERS, a + CORNERS
+def ring_triangles(rings: int, corners: int) -> np.ndarray:
+    """(F, 3) two triangles for each face between neighbouring rings."""
+    a = np.arange((rings - 1) * corners)
+    b = a // corners * corners + (a + 1) % corners
+    c, d = b + corners, a + corners
     return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])

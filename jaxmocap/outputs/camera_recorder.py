@@ -11,12 +11,12 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 import rerun as rr
 
-from jaxmocap.geometry.cameras import Camera, on_host
+from jaxmocap.geometry.cameras import Camera, on_host, visible_pixels
 from jaxmocap.outputs.ellipses import Uncertainty, ellipses_in
 from jaxmocap.outputs.layout import TIMELINE, entity_path
 from jaxmocap.outputs.overlay import encode_jpeg
 from jaxmocap.outputs.recorder import COLOURS, TARGET_COLOUR, at_times, send_strips
-from jaxmocap.outputs.scene import BodyScene, limb_outlines, pixels
+from jaxmocap.outputs.scene import BodyScene, limb_outlines
 
 # Of the images' plane from the camera, metres: a frustum is then smaller than a head or two.
 FRUSTUM_M = 0.2
@@ -74,7 +74,7 @@ def log_outlines(
         return
     near, far = np.stack([pair for _, pair in ends if pair is not None], 1)
     outlines = limb_outlines(camera, near[:, arms], far[:, arms], scene.radii[arms])
-    bones = pixels(camera, np.stack([near, far], 2))
+    bones = visible_pixels(camera, np.stack([near, far], 2))
     for label, strips, colours, width in (
         ("outlines", outlines, [COLOURS[scene.tree.segments[i].side] for i in arms], OUTLINE_WIDTH),
         ("bones", bones, COLOURS[""], BONE_WIDTH),
@@ -119,7 +119,7 @@ def log_projected_targets(
         entity = entity_path("world", "cameras", name, "markers", marker)
         style = rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.0), colors=TARGET_COLOUR)
         stream.log(entity, style, static=True)
-        at = pixels(camera, positions)
+        at = visible_pixels(camera, positions)
         is_visible = np.isfinite(at).all(-1)
         columns = rr.Points2D.columns(positions=at[is_visible])
         columns = columns.partition(is_visible.astype(int))

@@ -17,9 +17,9 @@ from av.video.stream import VideoStream
 from jaxmocap.body.motion import UNDETERMINED_M, Motion
 from jaxmocap.formats.cameras.video_out import replacing_video
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, visible_pixels
 from jaxmocap.outputs.ellipses import SIGMAS, ellipses_in, uncertainty_of
-from jaxmocap.outputs.scene import BodyScene, limb_outlines, make_scene, pixels
+from jaxmocap.outputs.scene import BodyScene, limb_outlines, make_scene
 
 # BGR.
 Colour = tuple[int, int, int]
@@ -172,7 +172,7 @@ class OverlayArtist:
         measured = [positions[sample] for positions in self.targets.values()]
         points = np.concatenate([near, far, np.reshape(measured, (-1, 3))])
         near_xy, far_xy, targets_xy = np.split(
-            pixels(self.camera, points), [len(near), 2 * len(near)]
+            visible_pixels(self.camera, points), [len(near), 2 * len(near)]
         )
         for line in np.stack([near_xy, far_xy], 1):
             _draw_line(canvas, line, BONE_COLOUR, size)

@@ -26,11 +26,10 @@ from jaxmocap.formats.time_series.tables import usual_step
 from jaxmocap.geometry.cameras import (
     NEAREST_M,
     Camera,
-    on_host,
     pixel_components_anywhere,
     to_camera,
 )
-from jaxmocap.geometry.outlines import outline, project_limb
+from jaxmocap.geometry.outlines import outline_pieces, project_limb
 from jaxmocap.geometry.solids import Solid
 
 # A sample that is the only one is there for so long, seconds.
@@ -103,25 +102,16 @@ def _place(skeleton: Skeleton, poses: Pose) -> tuple[Array, Array, Array]:
     return frames.R_world_bone, flesh.near, flesh.far
 
 
-def pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
-    """Pixels (..., 2) of (..., 3) world points; NaN behind the camera or where missing."""
-    x, y, z = np.moveaxis(to_camera(on_host(camera), np.asarray(points_world, float)), -1, 0)
-    ahead = z > NEAREST_M
-    depths = np.where(ahead, z, 1.0)
-    xy = pixel_components_anywhere(on_host(camera), x / depths, y / depths)
-    return np.where(ahead[..., None], np.stack(xy, -1), np.nan)
-
-
 def limb_outlines(
     camera: Camera, near: np.ndarray, far: np.ndarray, radii: np.ndarray
 ) -> np.ndarray:
-    """Closed outlines (N, P, 2), pixels, of N limbs; NaN where one reaches behind the camera.
+    """Closed outlines (..., P, 2), pixels, of limbs; NaN where one reaches behind the camera.
 
     Args:
         camera: distorts every point of the outline by itself.
-        near: (N, 3) world, metres.
-        far: (N, 3) world, metres.
-        radii: (N, 2) metres.
+        near: (..., 3) world, metres.
+        far: (..., 3) world, metres.
+        radii: (..., 2) metres.
     """
     dtype = camera.T_cam_world.dtype
     return np.asarray(_outlines(camera, *(np.asarray(part, dtype) for part in (near, far, radii))))
@@ -131,15 +121,18 @@ def limb_outlines(
 def _outlines(camera: Camera, near: Array, far: Array, radii: Array) -> Array:
     near_cam, far_cam = to_camera(camera, near), to_camera(camera, far)
     discs = project_limb(near_cam, far_cam, radii)
-    points = outline(discs, POINTS_ALONG, POINTS_AROUND, jnp.ones_like(radii)).points
-    # The pieces come as left side, right side, near arc, far arc: join them into one loop.
-    left, right, round_near, round_far = jnp.split(
-        points, [POINTS_ALONG, 2 * POINTS_ALONG, 2 * POINTS_ALONG + POINTS_AROUND], axis=-2
-    )
-    loop = [left, round_far[..., ::-1, :], right[..., ::-1, :], round_near[..., ::-1, :]]
-    closed = jnp.concatenate([*loop, left[..., :1, :]], -2)
+    x, y = jnp.moveaxis(jnp.stack([discs.near, discs.far]), -1, 0)
+    sizes = jnp.moveaxis(discs.radii, -1, 0)
+    both = outline_pieces(x, y, sizes, POINTS_ALONG, POINTS_AROUND, jnp.ones_like(sizes))
+
+    def closed(sides: Array, arcs: Array) -> Array:
+        """(..., P) of two pieces each, joined into one loop."""
+        loop = [sides[0], arcs[1, ::-1], sides[1, ::-1], arcs[0, ::-1], sides[0, :1]]
+        return jnp.moveaxis(jnp.concatenate(loop), 0, -1)
+
+    xs, ys = (closed(*(getattr(piece, axis) for piece in both)) for axis in "xy")
     ahead = jnp.minimum(near_cam[..., 2], far_cam[..., 2]) - jnp.max(radii, -1) > NEAREST_M
-    xy = jnp.stack(pixel_components_anywhere(camera, closed[..., 0], closed[..., 1]), -1)
+    xy = jnp.stack(pixel_components_anywhere(camera, xs, ys), -1)
     return jnp.where(ahead[..., None, None], xy, jnp.nan)
 
 

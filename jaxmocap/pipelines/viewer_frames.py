@@ -12,11 +12,11 @@ import numpy as np
 from jaxmocap.body.arms import limb_bones
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.video import FrameSource, TimedImage
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, visible_pixels
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.images.edges import Thresholds, equalise_levels, find_edges
 from jaxmocap.images.regions import Region, crop, region_around
-from jaxmocap.outputs.scene import make_scene, pixels
+from jaxmocap.outputs.scene import make_scene
 from jaxmocap.pipelines.progress import Progress
 
 # Frames of a camera in the viewer's recording, at most.
@@ -89,4 +89,4 @@ def arm_regions_over_time(
     near, far = ends[:, 0, bones], ends[:, 1, bones[:, 2:]]
     points = np.concatenate([near[:, :, :2], far], 2)
     margin = float(settings.margin)
-    return region_around(pixels(camera, points), settings.region, margin)
+    return region_around(visible_pixels(camera, points), settings.region, margin)

@@ -75,7 +75,8 @@ def facing_in_time(
         measured: with the ``references`` of the poses.
         poses: (T, ...) by the markers alone.
     """
-    rows = np.arange(0, len(times), _stride(times))
+    stride = max(1, int(1 / (EVENTS_HZ * _mean_step(times)) + 1e-3))
+    rows = np.arange(0, len(times), stride)
     pelvis = replace(settings.pelvis, facing=on_device(TURNED_RAD / UNMARKED_FACING))
     # Markers alone tell little of lengths: they count as if each event were a view.
     lengths = settings.proportions * len(rows)
@@ -92,10 +93,6 @@ def facing_in_time(
     ahead = np.asarray(_matrices(on_device(found.quaternion)))[:, :2, 0]
     every = np.stack([np.interp(times, times[rows], column) for column in ahead.T], -1)
     return _level(every).astype(model.dtype)
-
-
-def _stride(times: np.ndarray) -> int:
-    return max(1, int(1 / (EVENTS_HZ * _mean_step(times)) + 1e-3))
 
 
 def _mean_step(times: np.ndarray) -> float:

@@ -15,8 +15,8 @@ import numpy as np
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.proportions import PROPORTIONS
+from jaxmocap.compilation.batches import GatheredRows
 from jaxmocap.compilation.freed_memory import give_back
-from jaxmocap.geometry.rows import GatheredRows
 from jaxmocap.smoothing.batch import FINELY, measurements_of
 from jaxmocap.smoothing.linearise import rows_of, smooth_poses
 from jaxmocap.smoothing.problem import UNTURNED, FirstPass, SmoothingProblem, Trajectory, Views

@@ -399,7 +399,7 @@ def test_what_is_no_picture_is_refused(tmp_path, uncalibrated, name, content, sa
         ([*BOARD_OPTIONS, "--charuco", "5X5_100"], "'5X5_100', expected a dictionary and metres"),
     ],
 )
-def test_senseless_boards_and_names_are_refused(wall, tmp_path, uncalibrated, options, says):
+def test_senseless_boards_and_names_are_refused(wall, uncalibrated, options, says):
     assert says in uncalibrated(wall, *options)
 
 

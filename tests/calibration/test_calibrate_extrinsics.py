@@ -7,6 +7,7 @@ import cv2
 import drawn_boards
 import numpy as np
 import pytest
+from conftest import read_calibration
 from drawn_boards import BOARD, CHARUCO, LENS, SIZE, draw
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.extrinsics import board_to_world, estimate_placement, position_world_of
 from jaxmocap.cli.program import main
-from jaxmocap.formats.cameras.calibration import read_calibration, read_intrinsics, write_camera
+from jaxmocap.formats.cameras.calibration import read_intrinsics, write_camera
 
 CAMERA = ["--camera", "cam"]
 CHESS = ["--board", "4x7", "--square", "0.06"]

@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from conftest import read_calibration
 from drawn_boards import BOARD, FISHEYE_LENS, SIZE, draw, views, write_views
 
 from jaxmocap.calibration.board.opencv_lenses import LensKind, project_points
@@ -12,7 +13,7 @@ from jaxmocap.calibration.extrinsics import board_to_world
 from jaxmocap.calibration.intrinsics import BoardView, estimate_intrinsics
 from jaxmocap.calibration.planar_poses import candidate_poses
 from jaxmocap.cli.program import main
-from jaxmocap.formats.cameras.calibration import read_calibration, read_intrinsics
+from jaxmocap.formats.cameras.calibration import read_intrinsics
 from jaxmocap.geometry.lenses import FISHEYE
 
 BOARD_OPTIONS = ["--board", "4x7", "--square", "0.06", "--camera", "cam"]

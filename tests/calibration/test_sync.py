@@ -13,10 +13,10 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.calibration import sync as synced
 from jaxmocap.calibration.hand_flow import MAX_SIDE_PX, HandFlow, MarkerPath, flow_fields
 from jaxmocap.calibration.sync import StretchLag, combine_lags, estimate_video_offsets, hand_paths
-from jaxmocap.capture.checks.cameras import project_to_pixels
 from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.geometry.cameras import visible_pixels
 from jaxmocap.synthetic.drawing_camera import look_at
 
 SIZE, FPS, RATE, SECONDS = (160, 120), 30, 90, 3.0
@@ -47,7 +47,7 @@ def filmed(hands, times: np.ndarray) -> list[np.ndarray]:
     frames = []
     for positions in hands(times).reshape(-1, 2, 3):
         image = wall.copy()
-        for seed, (x, y) in enumerate(project_to_pixels(CAMERA, positions)):
+        for seed, (x, y) in enumerate(visible_pixels(CAMERA, positions)):
             patch = np.float32([[1, 0, x - 20], [0, 1, y - 20]])
             ball = cv2.warpAffine(texture(seed, 41), patch, SIZE, flags=cv2.INTER_LINEAR)
             near = np.hypot(columns - x, rows - y)
@@ -208,7 +208,7 @@ def test_terms_are_the_flow_at_the_hands_and_the_markers_own_motion():
     field = np.stack([2.0 * columns, -2.0 * rows], -1)
     flow = HandFlow(times, np.tile(field, (9, 1, 1, 1)), 2.0, CAMERA, hand_paths(recording))
     terms = flow.flow_pair(0.02)
-    xy = np.stack([project_to_pixels(CAMERA, path.at(times + 0.02)) for path in flow.paths], 1)
+    xy = np.stack([visible_pixels(CAMERA, path.at(times + 0.02)) for path in flow.paths], 1)
     np.testing.assert_allclose(terms.predicted, np.diff(xy, axis=0))
     np.testing.assert_allclose(terms.measured, xy[:-1] * [1, -1], atol=2.0)
     later = flow.flow_pair(0.02, place_lag=0.02 + 1 / FPS)

@@ -8,7 +8,7 @@ import av
 import cv2
 import numpy as np
 import pytest
-from conftest import complaint
+from conftest import complaint, read_calibration
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -371,8 +371,6 @@ def test_a_video_must_fit_its_calibration_to_two_percent(size, outcome):
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4])
 def test_the_real_videos_have_60_frames_at_60_hertz(recordings, number):
-    from jaxmocap.formats.cameras.calibration import read_calibration
-
     path = recordings / "balancing" / f"cam_0{number}.mp4"
     video = Video(path)
     assert len(video) == 60 and video.fps == pytest.approx(60)

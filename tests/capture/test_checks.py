@@ -17,7 +17,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.capture.checks.body_reach import max_marker_distances, standing_points
-from jaxmocap.capture.checks.cameras import check_recording, project_to_pixels
+from jaxmocap.capture.checks.cameras import check_recording
 from jaxmocap.capture.checks.lengths import check_lengths, check_stretched_arms
 from jaxmocap.capture.checks.markers import check_markers
 from jaxmocap.capture.filters import filter_markers
@@ -29,7 +29,7 @@ from jaxmocap.formats.recordings.filters import Filters
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc
-from jaxmocap.geometry.cameras import Camera, project
+from jaxmocap.geometry.cameras import Camera, project, visible_pixels
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.people.clothed_person import MARKERS
 from jaxmocap.synthetic.recording import marker_noise
@@ -444,7 +444,7 @@ def test_missing_markers_are_no_mistake(sound):
 # What the checks stand on ------------------------------------------------------------------------
 
 
-def test_the_standing_body_is_the_one_of_the_kinematics(sound):
+def test_the_standing_body_is_the_one_of_the_kinematics():
     skeleton = Skeleton.human(1.75)
     landmarks = ("vertex", "wrist_l", "wrist_r", "ankle_l", "ankle_r")
     pose = Pose(jnp.zeros(3), jnp.array([1.0, 0, 0, 0]), jnp.zeros(len(skeleton.tree.joints)))
@@ -494,9 +494,9 @@ def test_lengths_of_a_long_recording_take_no_more_memory_than_those_of_a_short_o
 def test_pixels_are_those_of_the_camera_model(sound):
     camera, points = sound.videos[0].camera, sound.positions_world[::10].reshape(-1, 3)
     expected = np.asarray(project(camera, jnp.asarray(points, jnp.float32)))
-    np.testing.assert_allclose(project_to_pixels(camera, points), expected, atol=0.01)
+    np.testing.assert_allclose(visible_pixels(camera, points), expected, atol=0.01)
     behind = np.asarray(camera.position_world)[None] * 2
-    assert np.isnan(project_to_pixels(camera, behind)).all()
+    assert np.isnan(visible_pixels(camera, behind)).all()
 
 
 # The commands ------------------------------------------------------------------------------------

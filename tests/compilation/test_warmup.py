@@ -81,7 +81,7 @@ def test_the_command_tracks_both_ways_and_says_what_it_took(monkeypatch, capsys)
     ],
 )
 def test_ways_that_the_settings_do_not_allow_are_not_compiled(
-    tmp_path, monkeypatch, capsys, settings, modes
+    tmp_path, monkeypatch, settings, modes
 ):
     asked = []
     made = lambda recording, settings: SimpleNamespace(settings=settings)  # noqa: E731

@@ -98,7 +98,7 @@ def test_help_lists_the_pages_and_names_them_where_one_is_not_there(capsys):
 
 
 @pytest.mark.parametrize(("page", "line"), named(command_lines()))
-def test_a_command_on_a_page_is_accepted(page, line, capsys):
+def test_a_command_on_a_page_is_accepted(page, line):
     program, *arguments = shlex.split(line)
     assert program == "jaxmocap", line
     make_parser().parse_args(arguments)

@@ -7,7 +7,7 @@ from codecs import BOM_UTF8
 import cv2
 import numpy as np
 import pytest
-from conftest import complaint
+from conftest import complaint, read_calibration, written
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -15,7 +15,6 @@ from hypothesis.extra import numpy as hnp
 from jaxmocap.formats.cameras.calibration import (
     Intrinsics,
     pick_camera,
-    read_calibration,
     read_intrinsics,
     write_camera,
 )
@@ -43,12 +42,6 @@ rectification_matrix:
   cols: 3
   data: [1, 0, 0, 0, 1, 0, 0, 0, 1]
 """
-
-
-def written(tmp_path, text: str, name: str = "c.yml"):
-    path = tmp_path / name
-    path.write_text(text)
-    return path
 
 
 # One section -------------------------------------------------------------------------------------
@@ -94,7 +87,7 @@ def test_lines_that_look_like_headers_within_values_are_none():
 
 @pytest.mark.parametrize("text", ["cam = { x = 1 }\n", "cam.x = 1\n", "[[cam]]\nx = 1\n"])
 def test_a_camera_that_is_written_otherwise_is_refused_and_kept(tmp_path, text):
-    path = written(tmp_path, text, "c.toml")
+    path = written(tmp_path, "c.toml", text)
     assert complaint(write_camera, path, "cam", {"y": 2}).startswith(str(path))
     assert path.read_text() == text
 
@@ -190,7 +183,7 @@ def test_the_older_header_and_tilted_zeros_are_read(tmp_path):
 
 
 def test_what_ros_writes_is_read_by_its_cameras_name(tmp_path):
-    path = written(tmp_path, ROS)
+    path = written(tmp_path, "c.yml", ROS)
     assert list(read_opencv_yaml(path)) == ["narrow"]
     lens = read_intrinsics(path, "narrow")
     np.testing.assert_array_equal(lens.matrix, MATRIX)
@@ -214,6 +207,6 @@ def test_what_ros_writes_is_read_by_its_cameras_name(tmp_path):
 )
 def test_bad_yaml_is_refused_with_the_field(tmp_path, old, new, says):
     assert old in ROS
-    path = written(tmp_path, ROS.replace(old, new))
+    path = written(tmp_path, "c.yml", ROS.replace(old, new))
     message = complaint(read_intrinsics, path, "narrow")
     assert message.startswith(str(path)) and says in message

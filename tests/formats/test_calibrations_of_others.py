@@ -27,12 +27,11 @@ from calibrations_of_others import (
     qualisys,
     vicon,
 )
-from conftest import complaint
+from conftest import complaint, read_calibration
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.cli.program import main, make_parser
 from jaxmocap.formats.calibrations.registry import R_WORLD_OF_SOURCE_UP, convert_calibration
-from jaxmocap.formats.cameras.calibration import read_calibration
 
 refused = partial(complaint, convert_calibration)
 

@@ -23,13 +23,12 @@ from calibrations_of_others import (
     qualisys,
     vicon,
 )
-from conftest import complaint
+from conftest import complaint, read_calibration, written
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxmocap.formats.calibrations.plain_pickle import read_plain_pickle
 from jaxmocap.formats.calibrations.registry import convert_calibration
-from jaxmocap.formats.cameras.calibration import read_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.cameras import Camera
 
@@ -43,12 +42,6 @@ def refused(source: Path, **options) -> str:
     message = complaint(convert_calibration, source, target, **options)
     assert not target.exists()
     return message
-
-
-def written(folder: Path, name: str, content: bytes | str) -> Path:
-    path = folder / name
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return path
 
 
 @cache

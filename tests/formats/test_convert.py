@@ -157,7 +157,7 @@ def test_a_single_joint_is_no_body_to_be_drawn(tmp_path):
     assert not files[1].exists()
 
 
-def test_what_cannot_be_converted_is_refused_in_one_sentence(folder, recordings):
+def test_what_cannot_be_converted_is_refused_in_one_sentence(folder):
     def refused(source, target, **given) -> str:
         files = folder / source, folder / target
         message = complaint(convert_file, *files, ConversionOptions(**given))

@@ -3,13 +3,12 @@
 import os
 import pickle
 from dataclasses import fields
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import problem_of, shared_folder
+from conftest import problem_of, read_calibration, shared_folder, written
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -21,7 +20,7 @@ from jaxmocap.capture.photographs import read_picture
 from jaxmocap.capture.video import Video
 from jaxmocap.formats.animation.bvh import read_bvh
 from jaxmocap.formats.animation.gltf_in import read_gltf
-from jaxmocap.formats.cameras.calibration import pick_camera, read_calibration, write_calibration
+from jaxmocap.formats.cameras.calibration import pick_camera, write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.motion_npz import load_motion, save_motion
@@ -46,12 +45,6 @@ Frame#\tTime\tHead\t\t\tHand\t\t
 2\t0.02\t\t\t\t11\t21\t31
 3\t0.04\t1002\t2002\t3002\t12\t22\t32
 """
-
-
-def written(folder: Path, text: str | bytes, name: str = "a.trc") -> Path:
-    path = folder / name
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return path
 
 
 @st.composite
@@ -84,7 +77,7 @@ def test_markers_survive_a_round_trip_with_their_gaps(tmp_path, format, recorded
 
 @pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("mm", 1e-3), ("cm", 1e-2), ("MM", 1e-3)])
 def test_trc_units_are_honoured(tmp_path, unit, metres):
-    markers = read_trc(written(tmp_path, TRC.replace("\tmm\t", f"\t{unit}\t")))
+    markers = read_trc(written(tmp_path, "a.trc", TRC.replace("\tmm\t", f"\t{unit}\t")))
     np.testing.assert_allclose(markers.positions[2, 1], np.array([12, 22, 32]) * metres)
     np.testing.assert_allclose(markers.times, [0, 0.02, 0.04])
 
@@ -106,8 +99,8 @@ def test_trc_units_are_honoured(tmp_path, unit, metres):
     ],
 )
 def test_trc_variants_that_exporters_write_are_read_alike(tmp_path, variant):
-    markers = read_trc(written(tmp_path, variant))
-    expected = read_trc(written(tmp_path, TRC, "b.trc"))
+    markers = read_trc(written(tmp_path, "a.trc", variant))
+    expected = read_trc(written(tmp_path, "b.trc", TRC))
     assert markers.names == ("Head", "Hand")
     np.testing.assert_array_equal(markers.positions, expected.positions)
     assert np.isnan(markers.positions[1, 0]).all()
@@ -140,14 +133,14 @@ def test_trc_variants_that_exporters_write_are_read_alike(tmp_path, variant):
     ],
 )
 def test_bad_trc_files_are_refused_with_the_line(tmp_path, text, says):
-    assert says in problem_of(read_trc, written(tmp_path, text))
+    assert says in problem_of(read_trc, written(tmp_path, "a.trc", text))
 
 
 CSV = "time,Head.x,Head.y,Head.z,Hand.x,Hand.y,Hand.z\n0,1,2,3,4,5,6\n0.5,,,,4,5,6\n"
 
 
 def test_csv_is_seconds_and_metres_with_empty_cells_where_missing(tmp_path):
-    markers = read_csv(written(tmp_path, CSV))
+    markers = read_csv(written(tmp_path, "a.csv", CSV))
     assert markers.names == ("Head", "Hand")
     np.testing.assert_array_equal(markers.positions[:, 1], [[4, 5, 6], [4, 5, 6]])
     assert np.isnan(markers.positions[1, 0]).all()
@@ -170,7 +163,7 @@ def test_csv_is_seconds_and_metres_with_empty_cells_where_missing(tmp_path):
     ],
 )
 def test_bad_csv_files_are_refused_with_the_line(tmp_path, text, says):
-    assert says in problem_of(read_csv, written(tmp_path, text))
+    assert says in problem_of(read_csv, written(tmp_path, "a.csv", text))
 
 
 @pytest.mark.parametrize("name", ["a\tb", "", " a", "a\n"])
@@ -181,9 +174,9 @@ def test_names_that_trc_cannot_hold_are_not_written(tmp_path, name):
 
 
 def test_marker_files_are_told_by_their_suffix(tmp_path):
-    assert read_markers(written(tmp_path, TRC, "a.TRC")).names == ("Head", "Hand")
-    assert read_markers(written(tmp_path, CSV, "a.csv")).names == ("Head", "Hand")
-    assert "unknown suffix '.txt'" in problem_of(read_markers, written(tmp_path, TRC, "a.txt"))
+    assert read_markers(written(tmp_path, "a.TRC", TRC)).names == ("Head", "Hand")
+    assert read_markers(written(tmp_path, "a.csv", CSV)).names == ("Head", "Hand")
+    assert "unknown suffix '.txt'" in problem_of(read_markers, written(tmp_path, "a.txt", TRC))
 
 
 READERS = {
@@ -267,7 +260,8 @@ def test_a_fisheye_survives_a_round_trip(tmp_path):
 
 
 def test_a_rotation_may_be_a_matrix(tmp_path):
-    path = written(tmp_path, calibration_text(rotation="[[0, 1, 0], [0, 0, 1], [1, 0, 0]]"))
+    text = calibration_text(rotation="[[0, 1, 0], [0, 0, 1], [1, 0, 0]]")
+    path = written(tmp_path, "c.toml", text)
     T_cam_world = read_calibration(path)["cam"].T_cam_world
     np.testing.assert_array_equal(T_cam_world[:3, :3], [[0, 1, 0], [0, 0, 1], [1, 0, 0]])
 
@@ -306,7 +300,7 @@ def test_a_rotation_may_be_a_matrix(tmp_path):
     ],
 )
 def test_bad_calibrations_are_refused_with_the_field(tmp_path, changes, says):
-    path = written(tmp_path, calibration_text(**changes), "c.toml")
+    path = written(tmp_path, "c.toml", calibration_text(**changes))
     assert says in problem_of(read_calibration, path)
 
 
@@ -320,11 +314,11 @@ def test_bad_calibrations_are_refused_with_the_field(tmp_path, changes, says):
     ],
 )
 def test_what_is_no_calibration_is_refused(tmp_path, text, says):
-    assert says in problem_of(read_calibration, written(tmp_path, text, "c.toml"))
+    assert says in problem_of(read_calibration, written(tmp_path, "c.toml", text))
 
 
 def test_a_missing_section_lists_those_that_are_there(tmp_path):
-    path = written(tmp_path, calibration_text(), "c.toml")
+    path = written(tmp_path, "c.toml", calibration_text())
     cameras = read_calibration(path)
     assert pick_camera(path, cameras, "cam") is cameras["cam"]
     says = problem_of(lambda p: pick_camera(p, cameras, "cam_2"), path)
@@ -397,7 +391,7 @@ def test_a_motion_needs_no_report(tmp_path):
 
 
 def test_a_writer_that_fails_leaves_the_earlier_file(tmp_path):
-    path = written(tmp_path, "earlier", "out.mp4")
+    path = written(tmp_path, "out.mp4", "earlier")
     with pytest.raises(RuntimeError), replacing(path) as beside:
         assert beside.suffix == ".mp4" and beside.parent == path.parent
         beside.write_text("half")

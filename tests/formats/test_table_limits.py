@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import problem_of
+from conftest import problem_of, written
 
 from jaxmocap.formats.animation.bvh import read_bvh
 from jaxmocap.formats.files.errors import InputError
@@ -44,8 +44,7 @@ TEXTS = {".trc": TRC, ".csv": CSV, ".mot": MOT, ".bvh": BVH}
 
 def complaint(folder, suffix: str, text: str | bytes) -> str:
     """What reading a file of that text says."""
-    path = folder / f"a{suffix}"
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    path = written(folder, f"a{suffix}", text)
     return problem_of(read_mot if suffix == ".mot" else read_markers, path)
 
 

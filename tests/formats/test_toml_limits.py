@@ -4,10 +4,10 @@ import os
 import time
 
 import pytest
-from conftest import HANG_S, complaint
+from conftest import HANG_S, complaint, read_calibration
 from small_recording import write_small_recording
 
-from jaxmocap.formats.cameras.calibration import check_camera_writable, read_calibration
+from jaxmocap.formats.cameras.calibration import check_camera_writable
 from jaxmocap.formats.cameras.toml_sections import replace_entries
 from jaxmocap.formats.files.errors import InputError, comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable, file_name_problem, parse_toml, read_toml

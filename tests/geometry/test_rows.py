@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxmocap.geometry.rows import ComputedRows, GatheredRows, map_rows, row_blocks, take_rows
+from jaxmocap.compilation.batches import GatheredRows
+from jaxmocap.geometry.rows import ComputedRows, map_rows, row_blocks, take_rows
 
 NUMBERS = np.arange(20.0).reshape(10, 2)
 

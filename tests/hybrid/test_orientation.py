@@ -329,7 +329,7 @@ def test_a_run_whose_headset_sends_no_orientation_is_recorded_without(tmp_path):
     assert again.marker_names == ("Hmd",) and has_wrists(again.skeleton)
 
 
-def test_orientations_that_are_not_used_or_do_not_come_are_shown(tmp_path):
+def test_orientations_that_are_not_used_or_do_not_come_are_shown():
     places = (
         MarkerPlace("Hmd", "head", orientation=(1.0, 0.0, 0.0, 0.0)),
         MarkerPlace("Left", "hand_l"),

@@ -228,7 +228,7 @@ def test_a_process_that_dies_of_a_stream_leaves_the_run_going(tmp_path, monkeypa
 @pytest.mark.skipif(
     not hasattr(signal, "SIGKILL"), reason="this system cannot limit a process's memory"
 )
-def test_the_process_has_limits_of_memory_and_time(tmp_path):
+def test_the_process_has_limits_of_memory_and_time():
     begins = "import sys; sys.path.insert(0, sys.argv[1]); import decoding; import time\n"
     hangs = "decoding.FRAME_LIMIT_S = 0.5\ndecoding.write_images(iter(lambda: time.sleep(60), 0))"
     takes = "decoding.limit_memory(decoding.MAX_MEMORY_BYTES)\nbytearray(2**31)"

@@ -3,10 +3,10 @@
 import cv2
 import numpy as np
 import pytest
+from conftest import read_calibration
 from photograph_masks import true_person_mask
 
 from bench.modelling import MeasuredPerson
-from jaxmocap.formats.cameras.calibration import read_calibration
 from jaxmocap.silhouette.modelling.measurements import girth_section
 from jaxmocap.silhouette.modelling.pictures.backdrop import PhotographError, person_mask
 from jaxmocap.synthetic.drawing_camera import DrawingCamera

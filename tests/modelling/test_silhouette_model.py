@@ -7,13 +7,14 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from conftest import read_calibration
 
 from bench.modelling import MeasuredPerson
 from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.capture.photographs import png_of
 from jaxmocap.cli.program import main
-from jaxmocap.formats.cameras.calibration import read_calibration, write_calibration
+from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines.silhouettes.person import read_person
 from jaxmocap.synthetic.photographs import PHOTOGRAPHS, person_in_stance

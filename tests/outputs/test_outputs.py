@@ -19,14 +19,14 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.body.surfaces.pieces import body_pieces
 from jaxmocap.formats.time_series.mot import read_mot, write_mot
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, visible_pixels
 from jaxmocap.geometry.solids import limb_solid
 from jaxmocap.outputs import overlay, viewer
 from jaxmocap.outputs.ellipses import SIGMAS, ellipses_in, landmark_ellipses, uncertainty_of
 from jaxmocap.outputs.layout import lay_out
 from jaxmocap.outputs.overlay import JOINT_COLOUR, OUTLINE_COLOURS, OverlayArtist, write_overlay
 from jaxmocap.outputs.report import summarise, write_figures
-from jaxmocap.outputs.scene import floor_of, limb_outlines, make_scene, pixels
+from jaxmocap.outputs.scene import floor_of, limb_outlines, make_scene
 from jaxmocap.outputs.viewer import Footage, write_rerun
 
 SAMPLES, RATE, START = 40, 90.0, 12.5
@@ -138,7 +138,7 @@ def test_elbows_outlines_and_targets_are_drawn_where_they_project(motion, target
     artist.draw(canvas, time)
     joints = {name: points[20] for name, points in motion.joints().items()}
     for name in ("elbow_l", "elbow_r"):
-        x, y = pixels(camera, joints[name]).round().astype(int)
+        x, y = visible_pixels(camera, joints[name]).round().astype(int)
         assert tuple(canvas[y, x]) == JOINT_COLOUR
     # The right elbow may be 20 cm away along each axis; the left one's ellipse is a point.
     ellipse = ellipses_in(camera, artist.uncertainty, time)["elbow_r"]
@@ -146,7 +146,7 @@ def test_elbows_outlines_and_targets_are_drawn_where_they_project(motion, target
     x, y = ellipse[inside].round().astype(int).T
     near = np.abs(canvas[y, x].astype(int) - OUTLINE_COLOURS["r"]).sum(-1) < 120
     assert near.mean() > 0.7
-    x, y = pixels(camera, targets["Head"][20]).round().astype(int)
+    x, y = visible_pixels(camera, targets["Head"][20]).round().astype(int)
     np.testing.assert_allclose(canvas[y, x], (255, 60, 255), atol=60)
     scene = artist.scene
     arms = scene.tree.bones_in("arm")
@@ -242,9 +242,9 @@ def test_an_ellipse_is_where_points_that_scatter_so_are_seen(place, deviations, 
     camera = Camera.create((320, 240), matrix, [], R, -R @ [3.0, 0, 1.1])
     centre, spread = np.add(place, [0, 0, 1.1]), np.array(deviations)
     points = centre + spread * np.random.default_rng(seed).normal(size=(40000, 3))
-    expected = np.cov(pixels(camera, points).T)
+    expected = np.cov(visible_pixels(camera, points).T)
     loops, half_axes = landmark_ellipses(camera, centre[None], spread[None])
-    ring = loops[0, :-1] - pixels(camera, centre[None])
+    ring = loops[0, :-1] - visible_pixels(camera, centre[None])
     found = 2 / SIGMAS**2 * ring.T @ ring / len(ring)
     np.testing.assert_allclose(found, expected, atol=0.05 * np.trace(expected))
     assert half_axes[0] == pytest.approx(np.linalg.norm(ring, axis=1).max(), rel=0.02)
@@ -286,7 +286,7 @@ def test_an_outline_holds_the_whole_limb_and_little_more(ends, near_radius, far_
     turns = np.random.default_rng(0).normal(size=(1, 300, 3))
     turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
     surface = (1 - at) * near + at * far + ((1 - at) * near_radius + at * far_radius) * turns
-    points = pixels(camera, surface.reshape(-1, 3)).astype(np.float32)
+    points = visible_pixels(camera, surface.reshape(-1, 3)).astype(np.float32)
     # The discs stand for slightly elliptic images of the spheres, the loop for their round ends.
     slack = 0.15 * 576 * radii.max() / 2.3 + 1.0
     inside = [cv2.pointPolygonTest(loop, tuple(map(float, point)), True) for point in points]
@@ -325,7 +325,7 @@ def test_what_is_far_outside_the_view_is_not_folded_into_the_image():
     # 59.5° off the axis of a barrel lens, whose polynomial brings it back to the middle.
     matrix = np.array([[900.0, 0, 640], [0, 900, 360], [0, 0, 1]])
     camera = Camera.create((1280, 720), matrix, [-0.35, 0, 0, 0], np.eye(3), np.zeros(3))
-    ((u, _),) = pixels(camera, np.array([[1.7, 0, 1.0]]))
+    ((u, _),) = visible_pixels(camera, np.array([[1.7, 0, 1.0]]))
     assert u == pytest.approx(640 + 900 * 1.7)
     near, far = np.array([[1.6, 0, 1.0]]), np.array([[1.8, 0, 1.0]])
     outline = limb_outlines(camera, near, far, np.array([[0.03, 0.03]]))

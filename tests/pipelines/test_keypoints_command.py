@@ -276,7 +276,7 @@ def test_of_a_network_of_133_points_those_of_the_body_are_written(recording, tmp
     assert "toe_l" in read_keypoints(file).landmarks
 
 
-def test_the_command_takes_a_network(recording, tmp_path, capsys):
+def test_the_command_takes_a_network(recording, tmp_path):
     net = brightest(tmp_path / "net.onnx", points=26)
     assert detect(recording, detector=str(net)) == 0
     found = read_keypoints(recording.parent / "keypoints" / "cam.json")

@@ -150,7 +150,7 @@ def test_lengths_are_found_beside_the_shape_and_worn():
     truth = np.append(0.005 * rng.standard_normal(count - len(LENGTHS)), LOGARITHMS)
     for _ in range(4):
         rows = rng.standard_normal((3 * count, 6 + count))
-        estimator.add_equations(*equations(rng, 30 * rows, truth, 0.02 * rng.standard_normal(6)))
+        estimator.add_equations(*equations(30 * rows, truth, 0.02 * rng.standard_normal(6)))
     skeleton, surface = estimator.estimate()
     np.testing.assert_allclose(estimator.amounts, truth, atol=5e-4)
     wanted = scale_skeleton(BODY, jnp.asarray(LOGARITHMS, jnp.float32)).lengths
@@ -163,7 +163,7 @@ def test_lengths_of_which_nothing_is_told_stay():
     np.testing.assert_allclose(skeleton.lengths, BODY.lengths, rtol=1e-6)
 
 
-def equations(rng, rows: np.ndarray, shape: np.ndarray, pose: np.ndarray):
+def equations(rows: np.ndarray, shape: np.ndarray, pose: np.ndarray):
     """A frame's normal equations where pose and shape are off by so much."""
     off = rows @ np.concatenate([pose, shape])
     return rows.T @ rows, -rows.T @ off
@@ -178,7 +178,7 @@ def test_a_shape_is_found_whatever_the_poses_and_only_what_they_do_not_explain()
         rows = rng.standard_normal((3 * count, 4 + count)) * [*[1] * 4, *[1] * count]
         # What this field does a pose does as well.
         rows[:, 5] = rows[:, 0]
-        H, slope = equations(rng, 30 * rows, truth, 0.02 * rng.standard_normal(4))
+        H, slope = equations(30 * rows, truth, 0.02 * rng.standard_normal(4))
         estimator.add_equations(H, slope)
     estimator.estimate()
     rest = np.arange(count) != 1

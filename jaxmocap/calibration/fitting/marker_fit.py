@@ -54,7 +54,6 @@ class PersonFit(NamedTuple):
 
     person: MarkedPerson
     poses: Pose  # (K, ...)
-    cost: Array  # () of all
     covariance: Array  # (S, S) of what is shared, P lengths first, then the markers' shifts
 
 
@@ -76,14 +75,13 @@ def fit_person(model: Model, start: Pose, targets: Array) -> PersonFit:
     ``targets`` (K, M, 3) are markers, world, metres; NaN where missing.
     """
     first = person_of_model(model), start
-    (person, poses), cost = descend(
+    (person, poses), _ = descend(
         partial(_cost_of_all, model, targets), partial(_joint_step, model, targets), first
     )
     undamped = jnp.zeros((), model.dtype)
     precision, _, _ = _shared_equations(model, targets, person, poses, undamped)
-    return PersonFit(
-        person, poses, cost, solve_definite(precision, jnp.eye(len(precision), dtype=model.dtype))
-    )
+    unit = jnp.eye(len(precision), dtype=model.dtype)
+    return PersonFit(person, poses, solve_definite(precision, unit))
 
 
 def landmark_variances(model: Model, covariance: Array, poses: Pose, targets: Array) -> Array:

@@ -15,13 +15,7 @@ from jaxmocap.capture.checks.markers import check_markers
 from jaxmocap.capture.checks.sides import facing_of_pairs
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.formats.time_series.tables import usual_step
-from jaxmocap.geometry.cameras import (
-    NEAREST_M,
-    Camera,
-    camera_components,
-    on_host,
-    pixel_components_anywhere,
-)
+from jaxmocap.geometry.cameras import Camera, on_host, visible_pixels
 
 # Nobody is filmed from further away; a calibration in millimetres puts the camera there.
 MAX_DISTANCE_M = 150.0
@@ -78,19 +72,9 @@ def marker_visibility(
     )
 
 
-def project_to_pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
-    """(N, 2) pixels of (N, 3) world points, in double precision; NaN behind the camera."""
-    camera = on_host(camera)
-    x, y, z = camera_components(camera, *np.asarray(points_world, float).T)
-    ahead = z > NEAREST_M
-    depths = np.where(ahead, z, 1.0)
-    xy = pixel_components_anywhere(camera, x / depths, y / depths)
-    return np.where(ahead, xy, np.nan).T
-
-
 def points_in_image(camera: Camera, points_world: np.ndarray) -> np.ndarray:
     """(N,) whether (N, 3) world points lie before the camera and within its image."""
-    xy = project_to_pixels(camera, points_world)
+    xy = visible_pixels(camera, points_world)
     return np.asarray(((xy >= -0.5) & (xy <= np.asarray(camera.size, float) - 0.5)).all(-1))
 
 

@@ -6,7 +6,8 @@ files, errors against the truth.
 
 import argparse
 
-from jaxmocap.cli.command import positive_number, report, whole_number
+from jaxmocap.cli.command import report
+from jaxmocap.cli.recording_options import add_demo
 from jaxmocap.formats.files.errors import InputError
 
 PURPOSE = "make a synthetic recording by four cameras and track it"
@@ -18,20 +19,8 @@ DEFAULT_EXERCISE = "arm_raises"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
+    add_demo(parser, "jaxmocap-silhouettes", 2.0, "the rooms, the movement")
     add = parser.add_argument
-    add("--out", metavar="DIR", default="jaxmocap-silhouettes", help="default: %(default)s")
-    add(
-        "--seconds",
-        type=positive_number,
-        default=2.0,
-        help="of the recording, up to 3600; default: %(default)s",
-    )
-    add(
-        "--seed",
-        type=whole_number,
-        default=0,
-        help="of the rooms, the movement and noise; default: 0",
-    )
     add(
         "--person",
         metavar="PERSON.npz",

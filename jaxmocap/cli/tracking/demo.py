@@ -5,27 +5,15 @@ INPUTS: a folder, a duration, a seed. OUTPUTS: the recording, its tracked files,
 
 import argparse
 
-from jaxmocap.cli.command import positive_number, report, whole_number
+from jaxmocap.cli.command import report
+from jaxmocap.cli.recording_options import add_demo
 
 PURPOSE = "make a synthetic recording and track it"
 EXAMPLE = "jaxmocap demo --out jaxmocap-demo"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("--out", metavar="DIR", default="jaxmocap-demo", help="default: %(default)s")
-    add(
-        "--seconds",
-        type=positive_number,
-        default=6.0,
-        help="of the recording, up to 3600; default: %(default)s",
-    )
-    add(
-        "--seed",
-        type=whole_number,
-        default=0,
-        help="of person, room, strokes and noise; default: 0",
-    )
+    add_demo(parser, "jaxmocap-demo", 6.0, "person, room, strokes")
 
 
 def run(options: argparse.Namespace) -> None:

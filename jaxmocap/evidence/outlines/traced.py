@@ -3,6 +3,7 @@
 INPUTS: limbs, a camera, distance fields of edges. OUTPUTS: outline points, their distances.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -55,33 +56,36 @@ class TracedOutline(NamedTuple):
     weights: Array  # (3, K) length of outline that each point stands for; 0 outside the image
 
 
-class _Samples(NamedTuple):
-    """Sides, arcs or both of limbs (3, ...), samples over the fields: (2, K, 3, ...) each."""
+def disc_components(camera: Camera, limbs: Cones) -> tuple[tuple[Array, Array, Array], Array]:
+    """Centres x and y and radii (2, 3, ...) of limbs' ends on the plane z = 1, and their depths.
 
-    distances_px: Array
-    weights: Array  # 0 outside the image
-
-
-def _pieces(camera: Camera, limbs: Cones) -> tuple[tuple[Pieces, Pieces], Array, Array]:
-    """Sides and arcs of limbs (..., 3), the limbs' shares (3, ...), metres per pixel (3, ...)."""
-    batch = limbs.near.ndim - 2
+    Of limbs (..., 3), near and far ends first.
+    """
     ends = jnp.moveaxis(jnp.stack([limbs.near, limbs.far]), (-1, -2), (0, 2))
     x, y, depths = camera_components(camera, *ends)
     near = 1 / jnp.maximum(depths, NEAREST_M)
     radii = jnp.broadcast_to(limbs.radii, (*limbs.near.shape[:-1], 2))
-    radii = jnp.moveaxis(radii, (-1, -2), (0, 1)) * near
-    by_limb = (len(LIMB_WEIGHTS), *(1,) * batch)
-    free = jnp.asarray(OPEN_ENDS, x.dtype).T.reshape(2, *by_limb)
-    pieces = outline_pieces(x * near, y * near, radii, POINTS_PER_SIDE, POINTS_PER_ARC, free)
+    return (x * near, y * near, jnp.moveaxis(radii, (-1, -2), (0, 1)) * near), depths
+
+
+def _pieces(camera: Camera, limbs: Cones) -> tuple[tuple[Pieces, Pieces], Array, Array]:
+    """Sides and arcs of limbs (..., 3), the limbs' shares (3, ...), metres per pixel (3, ...)."""
+    discs, depths = disc_components(camera, limbs)
+    by_limb = (len(LIMB_WEIGHTS), *(1,) * (limbs.near.ndim - 2))
+    free = jnp.asarray(OPEN_ENDS, depths.dtype).T.reshape(2, *by_limb)
+    pieces = outline_pieces(*discs, POINTS_PER_SIDE, POINTS_PER_ARC, free)
     front = jnp.minimum(depths[0], depths[1]) > 0
-    shares = jnp.where(front, jnp.asarray(LIMB_WEIGHTS, x.dtype).reshape(by_limb), 0.0)
+    shares = jnp.where(front, jnp.asarray(LIMB_WEIGHTS, depths.dtype).reshape(by_limb), 0.0)
     return pieces, shares, 1 / pixels_per_metre(camera, (depths[0] + depths[1]) / 2)
 
 
 def _points_in_fields(
     camera: Camera, region: Region, fields: Array, points: Pieces, shares: Array, smoothly: bool
-) -> _Samples:
-    """Points (2, K, 3, ...) in the fields; weighed by the limbs' (3, ...) shares."""
+) -> tuple[Array, Array]:
+    """Distances, pixels, and weights, 0 outside the image, of points (2, K, 3, ...) in the fields.
+
+    Points are sides, arcs or both of limbs (3, ...), whose shares (3, ...) weigh them.
+    """
     x, y = pixel_components(camera, points.x, points.y)
     normals = normals_in_pixels(camera, (points.x, points.y), points.normal_x, points.normal_y)
     turns = _turns(*normals, fields.shape[0])
@@ -96,7 +100,7 @@ def _points_in_fields(
         distances_px = look_up(fields, channels, *samples) * region.scale
     right, bottom = camera.size[0] - 1 - BORDER_PX, camera.size[1] - 1 - BORDER_PX
     inside = (x >= BORDER_PX) & (x <= right) & (y >= BORDER_PX) & (y <= bottom)
-    return _Samples(distances_px, jnp.where(inside, points.weights * shares, 0.0))
+    return distances_px, jnp.where(inside, points.weights * shares, 0.0)
 
 
 def trace_outline(camera: Camera, region: Region, fields: Array, limbs: Cones) -> TracedOutline:
@@ -113,8 +117,7 @@ def trace_outline(camera: Camera, region: Region, fields: Array, limbs: Cones) -
     points = jax.tree.map(lambda *parts: jnp.concatenate(parts, 1), *map(_even, pieces))
     samples = _points_in_fields(camera, region, fields, points, shares, smoothly=True)
     x, y, distances_px, weights = (
-        part.reshape(-1, part.shape[-1]).T
-        for part in (points.x, points.y, samples.distances_px, samples.weights)
+        part.reshape(-1, part.shape[-1]).T for part in (points.x, points.y, *samples)
     )
     return TracedOutline(jnp.stack([x, y], -1), distances_px, metres_per_px[:, None], weights)
 
@@ -142,17 +145,14 @@ def outline_distance(
     """
     pieces, shares, metres_per_px = _pieces(camera, limbs)
     samples = [_points_in_fields(camera, region, fields, each, shares, False) for each in pieces]
-    total, metres, pixels = (
-        sum(
-            jnp.sum(part.weights * values, (0, 1, 2))
-            for part, values in zip(samples, each, strict=True)
-        )
-        for each in (
-            [jnp.ones_like(part.weights) for part in samples],
-            [jnp.minimum(part.distances_px * metres_per_px, truncation) for part in samples],
-            [part.distances_px for part in samples],
-        )
-    )
+
+    def summed(values: Callable[[Array], Array]) -> Array:
+        sides, arcs = (jnp.sum(weights * values(px), (0, 1, 2)) for px, weights in samples)
+        return sides + arcs
+
+    total = summed(jnp.ones_like)
+    metres = summed(lambda px: jnp.minimum(px * metres_per_px, truncation))
+    pixels = summed(lambda px: px)
     visible = total > 1e-6
     shared = 1 / jnp.where(visible, total, 1.0)
     return (

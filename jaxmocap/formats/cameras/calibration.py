@@ -63,12 +63,6 @@ class Intrinsics:
         return fields | {"fisheye": self.fisheye}
 
 
-def read_calibration(path: str | Path) -> dict[str, Camera]:
-    """Read every camera of a calibration file; InputError for none, or one that does not fit."""
-    sections = read_sections(path)
-    return {name: camera_of(path, sections, name) for name in sections}
-
-
 def read_sections(path: str | Path) -> dict[str, Any]:
     """A calibration file's sections as they stand; InputError without any. See ``camera_of``."""
     path = Path(path)

@@ -18,12 +18,10 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.surfaces.cones import Cones, project_cones
 from jaxmocap.compilation.settings import settings, static, traced
 from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
-from jaxmocap.evidence.outlines.traced import TracedOutline
+from jaxmocap.evidence.outlines.traced import TracedOutline, disc_components
 from jaxmocap.geometry.areas import Areas, area_points
 from jaxmocap.geometry.cameras import (
-    NEAREST_M,
     Camera,
-    camera_components,
     depth,
     focal_length,
     pixel_components,
@@ -181,11 +179,7 @@ def _sample_limbs(
     camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array, smoothly: bool
 ) -> tuple[Areas, Array]:
     """Points (K, 3, ...) over limbs (..., 3), each place counted once, and their distances, px."""
-    ends = jnp.moveaxis(jnp.stack([limbs.near, limbs.far]), (-1, -2), (0, 2))
-    x, y, depths = camera_components(camera, *ends)
-    near = 1 / jnp.maximum(depths, NEAREST_M)
-    radii = jnp.broadcast_to(limbs.radii, (*limbs.near.shape[:-1], 2))
-    discs = x * near, y * near, jnp.moveaxis(radii, (-1, -2), (0, 1)) * near
+    discs, depths = disc_components(camera, limbs)
     areas = area_points(*discs, ALONG, ACROSS)
     soft = softness * region.scale / focal_length(camera)
     in_front = jnp.minimum(depths[0], depths[1]) > 0

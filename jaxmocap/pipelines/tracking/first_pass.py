@@ -19,13 +19,13 @@ from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.capture.footage import ForwardReader, cached_frames, forward_readers
 from jaxmocap.capture.timeline import Timeline
 from jaxmocap.compilation.arrays import on_device
+from jaxmocap.compilation.batches import GatheredRows
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.appearance.learned import ROWS
 from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.resampling import bridge_poses
-from jaxmocap.geometry.rows import GatheredRows
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker

@@ -136,8 +136,8 @@ def refine_arm(
 
     edges = np.diag([float(own.swivel_edge)] + 3 * [float(own.other_edge)])
     first = np.vstack([np.zeros(4), edges])
-    minimum = simplex.minimise(cost, first, int(own.iterations))
-    angles = swing(skeleton, pose, side, grip_sites, minimum.point)[2]
+    moves, _ = simplex.minimise(cost, first, int(own.iterations))
+    angles = swing(skeleton, pose, side, grip_sites, moves)[2]
     return dofs, np.clip(angles, limits[:, 0], limits[:, 1])
 
 

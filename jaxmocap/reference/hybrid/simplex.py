@@ -4,44 +4,29 @@ INPUTS: a function of n variables and a simplex of n + 1 points. OUTPUTS: the be
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
 
-class Found(NamedTuple):
-    """Where a search ended."""
-
-    point: np.ndarray  # (n,) the best vertex
-    value: float  # of the function there
-    simplex: np.ndarray  # (n + 1, n) all vertices, best first
-    evaluations: int  # of the function
-
-
 def minimise(
     function: Callable[[np.ndarray], float], simplex: np.ndarray, iterations: int
-) -> Found:
+) -> tuple[np.ndarray, float]:
     """Reflect (1), expand (2), contract (1/2) or shrink (1/2), a given number of times.
 
     Args:
         function: of (n,).
         simplex: (n + 1, n) initial vertices.
         iterations: how many times.
+
+    Returns:
+        The best vertex (n,), and the function there.
     """
-    evaluations = 0
-
-    def evaluate(point: np.ndarray) -> float:
-        nonlocal evaluations
-        evaluations += 1
-        return float(function(point))
-
-    vertices = [(evaluate(point), point) for point in np.array(simplex, float)]
+    vertices = [(function(point), point) for point in np.array(simplex, float)]
     for _ in range(iterations):
         vertices.sort(key=lambda vertex: vertex[0])
-        vertices = _move_vertices(evaluate, vertices)
-    vertices.sort(key=lambda vertex: vertex[0])
-    value, point = vertices[0]
-    return Found(point, value, np.array([vertex[1] for vertex in vertices]), evaluations)
+        vertices = _move_vertices(function, vertices)
+    value, point = min(vertices, key=lambda vertex: vertex[0])
+    return point, value
 
 
 def _move_vertices(evaluate: Callable[[np.ndarray], float], vertices: list) -> list:

@@ -111,11 +111,6 @@ class Performance:
         """Landmark name -> (T, 3) positions in the world, metres, at (T,) times, seconds."""
         return self.figure.landmarks(self.bones(times))
 
-    def swivels(self, times: np.ndarray) -> np.ndarray:
-        """(T, 2) of the left and the right elbow, radians; see ``Posture``."""
-        channels = PostureChannels.split(self.curves(times))
-        return np.stack([channels.swivel_l, channels.swivel_r], -1)
-
 
 def varied_figure(height: float, rng: np.random.Generator) -> Figure:
     """Someone of that height (metres) whose bones differ from the tables' by up to 3 %."""

@@ -9,32 +9,21 @@ from collections.abc import Iterable
 import cv2
 import numpy as np
 
+from jaxmocap.body.surfaces.mesh import facing_outwards
+from jaxmocap.geometry.solids import ring_triangles
+
 
 def closed_mesh(rings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (K N + 2, 3) and triangles (F, 3): the rings, and a fan over either end."""
     count, around, _ = rings.shape
     ends = np.stack([rings[0].mean(0), rings[-1].mean(0)])
     vertices = np.concatenate([rings.reshape(-1, 3), ends])
-    here = np.arange((count - 1) * around)
-    beside = here // around * around + (here + 1) % around
-    sides = np.concatenate(
-        [
-            np.stack([here, beside, beside + around], 1),
-            np.stack([here, beside + around, here + around], 1),
-        ]
-    )
     first, next_ = np.arange(around), (np.arange(around) + 1) % around
     last = (count - 1) * around
     low = np.stack([next_, first, np.full(around, count * around)], 1)
     high = np.stack([last + first, last + next_, np.full(around, count * around + 1)], 1)
-    faces = np.concatenate([sides, low, high])
-    return vertices, faces if volume(vertices, faces) > 0 else faces[:, ::-1]
-
-
-def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Enclosed by a closed mesh, cubic metres; negative where it is inside out."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    return float(np.sum(a * np.cross(b, c)) / 6)
+    faces = np.concatenate([ring_triangles(count, around), low, high])
+    return vertices, facing_outwards(vertices, faces)
 
 
 def joined_meshes(patches: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
