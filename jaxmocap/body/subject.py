@@ -34,6 +34,8 @@ _MEASURED = {
     )
     for side in "lr"
 }
+# Cosine between the vertical and the way from ankles to vertex, of a person who stands.
+LEAST_UPRIGHT = 0.7
 
 
 def scale_to_landmarks(skeleton: Skeleton, landmarks: dict[str, np.ndarray]) -> Skeleton:
@@ -49,7 +51,7 @@ def scale_to_landmarks(skeleton: Skeleton, landmarks: dict[str, np.ndarray]) -> 
 
     Raises:
         ValueError: an unknown landmark, or one that is needed (neck, hips, shoulders) has no data;
-            hips and shoulders on opposite sides.
+            hips and shoulders on opposite sides; vertex and ankles not one above the other.
     """
     unknown = sorted(set(landmarks) - set(LANDMARKS))
     if unknown:
@@ -93,9 +95,17 @@ def _height(
     table = proportions_of(JOINT_CENTRES)
     if {"vertex", "ankle_l", "ankle_r"} <= set(landmarks):
         ankles = (landmarks["ankle_l"] + landmarks["ankle_r"]) / 2
-        extent = (landmarks["vertex"] - ankles)[:, 2]
-        if np.isfinite(extent).any():
-            return float(np.clip(np.nanmedian(extent) / (1 - table["ankle"]), 0.5, 2.5))
+        upwards = landmarks["vertex"] - ankles
+        if np.isfinite(upwards).all(-1).any():
+            upwards = np.nanmedian(upwards, axis=0)
+            if upwards[2] < LEAST_UPRIGHT * np.linalg.norm(upwards):
+                axis = np.abs(upwards).argmax()
+                stands = f"{'-' if upwards[axis] < 0 else ''}{'xyz'[axis]}"
+                raise ValueError(
+                    f"the person stands along {stands} in the static trial, expected z: state its "
+                    "vertical axis (up), or let the person stand upright"
+                )
+            return float(np.clip(upwards[2] / (1 - table["ankle"]), 0.5, 2.5))
     ratios = [
         length / table["lengths"][part]
         for (part, _), length in measured.items()

@@ -230,6 +230,17 @@ def test_what_no_landmark_tells_follows_from_the_limbs(skeleton):
     np.testing.assert_allclose(guessed.lengths, person.lengths, atol=1e-4)
 
 
+@pytest.mark.parametrize(("axes", "stands"), [([2, 0, 1], "x"), ([1, 2, 0], "y")])
+def test_a_static_trial_of_another_vertical_is_refused(skeleton, axes, stands):
+    """Its height would be that of the shoulders' breadth, its limbs as thin and light."""
+    points = {name: point[None, axes] for name, point in standing(skeleton).items()}
+    with pytest.raises(ValueError, match=f"stands along {stands} in the static trial, expected z"):
+        scale_to_landmarks(skeleton, points)
+    upside_down = {name: point[None] * [1, -1, -1] for name, point in standing(skeleton).items()}
+    with pytest.raises(ValueError, match="stands along -z"):
+        scale_to_landmarks(skeleton, upside_down)
+
+
 NEEDED = ("neck", "hip_l", "hip_r", "shoulder_l", "shoulder_r")
 
 
