@@ -263,6 +263,23 @@ def test_left_and_right_exchanged_in_a_static_trial_are_refused(skeleton, sides)
         scale_to_landmarks(skeleton, points | {f"{part}_l": left, f"{part}_r": right})
 
 
+@pytest.mark.parametrize("part", ["elbow", "knee", "ankle", None])
+def test_a_pair_or_all_sides_exchanged_are_refused(skeleton, part):
+    """A pair makes two bones too long; all sides make the head lean back that leaned forward."""
+    points = {name: point[None] for name, point in standing(skeleton).items()}
+    other = {"_l": "_r", "_r": "_l"}
+    exchanged = {
+        name: points[name[:-2] + other[name[-2:]]] if name[-2:] in other and (
+            part is None or name.startswith(part)) else point
+        for name, point in points.items()
+    }  # fmt: skip
+    found = f"found {part}_l on the right of {part}_r" if part else "found toe_l behind ankle_l"
+    with pytest.raises(ValueError, match=f"{found}: expected left landmarks on the left"):
+        scale_to_landmarks(skeleton, exchanged)
+    crossed = points | {"wrist_l": points["wrist_r"], "wrist_r": points["wrist_l"]}
+    scale_to_landmarks(skeleton, crossed)
+
+
 @pytest.mark.parametrize("needed", NEEDED)
 def test_a_trial_without_trunk_is_refused(skeleton, needed):
     points = {name: point[None] for name, point in standing(skeleton).items()}

@@ -74,6 +74,21 @@ def test_a_static_trial_in_another_unit_is_refused(tmp_path, refusal, factor):
     assert not (tmp_path / "subject.toml").exists()
 
 
+def test_a_marker_that_is_stated_for_two_landmarks_is_refused(tmp_path, refusal):
+    """The right upper arm would be as long as from the right shoulder to the left elbow."""
+    write_trc(tmp_path / "static.trc", np.zeros(1),
+              {name: at[None] for name, at in standing(Skeleton.human(1.7)).items()})  # fmt: skip
+    names = ("neck", "shoulder_l", "shoulder_r", "hip_l", "hip_r", "elbow_l")
+    out = ("--static", tmp_path / "static.trc", "--out", tmp_path / "subject.toml")
+    stated = [f"{name}={name}" for name in names]
+    asked = *out, "--landmarks", *stated
+    assert "found marker 'elbow_l', which is elbow_l already" in refusal(
+        "scale", *asked, "elbow_r=elbow_l"
+    )
+    # Nothing is measured by these.
+    assert main(["scale", *map(str, asked), "head=neck", "pelvis=hip_l"]) == 0
+
+
 def test_a_static_trial_says_what_each_length_rests_on(tmp_path, capsys):
     """Arms and trunk are measured, legs follow from the height that those suggest."""
     person = Skeleton.human(1.70)
