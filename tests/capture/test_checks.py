@@ -9,16 +9,21 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import on_device
 from gait_person import BODY_MARKERS
 from small_recording import small_recording, write_small_recording
 
-from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
+from jaxmocap.body.kinematics import forward, landmark_sites, landmarks, site_positions
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.capture.checks.body_reach import max_marker_distances, standing_points
 from jaxmocap.capture.checks.cameras import check_recording, project_to_pixels
-from jaxmocap.capture.checks.lengths import check_lengths, check_stretched_arms
+from jaxmocap.capture.checks.lengths import (
+    check_lengths,
+    check_proportions,
+    check_stretched_arms,
+)
 from jaxmocap.capture.checks.markers import check_markers
 from jaxmocap.capture.filters import filter_markers
 from jaxmocap.capture.footage import open_footage
@@ -27,6 +32,7 @@ from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.filters import Filters
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.formats.recordings.subject import read_subject
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera, project
@@ -473,6 +479,24 @@ def test_reach_is_the_length_of_the_stretched_body():
     trunk = sum(length[f"spine{i}"] for i in (1, 2, 3)) + length["clavicle_l"]
     leg = length["hip_r"] + length["femur_r"] / 2
     assert actual[0, 3] == pytest.approx(trunk + length["humerus_l"] / 2 + leg)
+
+
+@pytest.mark.parametrize("wrists", [{"wrist_l": "wrist_r", "wrist_r": "wrist_l"}, {}])
+def test_a_limb_between_other_landmarks_is_a_warning(tmp_path, sound, wrists):
+    """Exchanged wrists of a person whose arms hang; both tables of proportions are usual."""
+    pose = Pose(np.zeros(3), np.eye(4)[0], np.zeros(21))
+    at = dict(zip(LANDMARKS, np.asarray(landmarks(sound.skeleton, on_device(pose))), strict=True))
+    used = {name: wrists.get(name, name) for name in LANDMARKS if name not in ("pelvis", "head")}
+    write_trc(tmp_path / "static.trc", np.zeros(1), {name: at[name][None] for name in used})
+    stated = {"static": "static.trc", "landmarks": used}
+    skeleton = read_subject(tmp_path / "a.toml", "[subject]", stated)
+    found = [each.sentence for each in check_markers(replace(sound, skeleton=skeleton))]
+    assert [s[:26] for s in found if "exchanged?" in s] == (
+        ["[subject]: radius_l is 0.4", "[subject]: radius_r is 0.4"] if wrists else []
+    )
+    for proportions in ("winter", "joint_centres"):
+        body = Skeleton.human(1.6, proportions=proportions)
+        assert not list(check_proportions(replace(sound, skeleton=body)))
 
 
 def test_lengths_of_a_long_recording_take_no_more_memory_than_those_of_a_short_one():
