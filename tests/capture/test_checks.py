@@ -25,6 +25,7 @@ from jaxmocap.capture.checks.lengths import (
     check_stretched_arms,
 )
 from jaxmocap.capture.checks.markers import check_markers
+from jaxmocap.capture.checks.sides import check_sides
 from jaxmocap.capture.filters import filter_markers
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.photographs import write_picture
@@ -225,6 +226,31 @@ def test_left_and_right_exchanged_is_a_warning(sound, five):
     assert "left-handed" not in finding.sentence, "the ankles are not"
     (finding,) = check_recording(exchanged(five, (1, 2), (3, 4)), VIDEO_TIMES)
     assert "ankle_l and ankle_r" in finding.sentence and "left-handed" in finding.sentence
+
+
+OTHER_SIDES = (
+    ("ankle_{}", "ankle_{}"),
+    ("RAnkle", "LAnkle"),
+    ("Right.Foot", "Left.Foot"),
+    ("FOOT-R", "FOOT-L"),
+    ("Shoe 1", "Shoe 2"),
+)
+
+
+@pytest.mark.parametrize("names", OTHER_SIDES)
+def test_names_of_the_other_side_are_a_warning(five, names):
+    """What ankles alone do shows no side; their names do."""
+    right, left = names[0].format("r"), names[1].format("l")
+    on_left, on_right = five.places[3], five.places[4]
+    assert (on_left.bone, on_right.bone) == ("tibia_l", "tibia_r")
+    for first, second, is_wrong in ((right, left, "Shoe" not in right), (left, right, False)):
+        ankles = replace(on_left, name=first), replace(on_right, name=second)
+        found = [
+            each.sentence for each in check_sides(replace(five, places=(*five.places[:3], *ankles)))
+        ]
+        assert bool(found) == is_wrong
+        if found:
+            assert f"{right} on tibia_l and {left} on tibia_r: by their names" in found[0]
 
 
 @pytest.fixture(scope="module")
