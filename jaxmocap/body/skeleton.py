@@ -72,6 +72,8 @@ def landmark_mismatches() -> np.ndarray:
 
 TRUNK = ("spine1", "spine2", "spine3")
 NECK_HEAD = ("neck", "head")
+# Statures that a body may have, metres.
+LEAST_HEIGHT_M, MOST_HEIGHT_M = 0.5, 2.5
 # Groups of bones that share one number of the tables, in proportion to what they have.
 _LONG_TOGETHER = {"spine": "trunk", "head": "neck_head"}
 # Clavicles and hips weigh as parts of the trunk.
@@ -283,8 +285,9 @@ def scale_to_height(
     if height is None:
         factor = 1.0 if mass is None else mass / float(skeleton.masses.sum())
         return replace(skeleton, masses=skeleton.masses * factor)
-    if not 0.5 <= height <= 2.5:
-        raise ValueError(f"height = {height}: expected metres between 0.5 and 2.5")
+    if not LEAST_HEIGHT_M <= height <= MOST_HEIGHT_M:
+        expected = f"expected metres between {LEAST_HEIGHT_M:g} and {MOST_HEIGHT_M:g}"
+        raise ValueError(f"height = {height}: {expected}")
     kilograms = MEAN_BODY_MASS_INDEX * height**2 if mass is None else mass
     masses = _fractions(skeleton, mass_fractions(), _HEAVY_TOGETHER, skeleton.masses)
     # The table's masses are all of it: what it does not have takes its share from the others.

@@ -34,6 +34,15 @@ _MEASURED = {
     )
     for side in "lr"
 }
+# Landmarks of who stands, the second to the left of the first or ahead of it, by its axis in the
+# trunk's frame. Wrists may cross.
+_BESIDE = (
+    *((f"{part}_r", f"{part}_l", 1, "on the right of") for part in ("elbow", "knee", "ankle")),
+    *((f"ankle_{side}", f"toe_{side}", 0, "behind") for side in "lr"),
+)
+LEFT_IS_LEFT = "expected left landmarks on the left of right ones"
+# Cosine between the vertical and the way from ankles to vertex, of a person who stands.
+LEAST_UPRIGHT = 0.7
 
 
 def scale_to_landmarks(skeleton: Skeleton, landmarks: dict[str, np.ndarray]) -> Skeleton:
@@ -49,7 +58,7 @@ def scale_to_landmarks(skeleton: Skeleton, landmarks: dict[str, np.ndarray]) -> 
 
     Raises:
         ValueError: an unknown landmark, or one that is needed (neck, hips, shoulders) has no data;
-            hips and shoulders on opposite sides.
+            landmarks on the other side; vertex and ankles not one above the other.
     """
     unknown = sorted(set(landmarks) - set(LANDMARKS))
     if unknown:
@@ -93,9 +102,17 @@ def _height(
     table = proportions_of(JOINT_CENTRES)
     if {"vertex", "ankle_l", "ankle_r"} <= set(landmarks):
         ankles = (landmarks["ankle_l"] + landmarks["ankle_r"]) / 2
-        extent = (landmarks["vertex"] - ankles)[:, 2]
-        if np.isfinite(extent).any():
-            return float(np.clip(np.nanmedian(extent) / (1 - table["ankle"]), 0.5, 2.5))
+        upwards = landmarks["vertex"] - ankles
+        if np.isfinite(upwards).all(-1).any():
+            upwards = np.nanmedian(upwards, axis=0)
+            if upwards[2] < LEAST_UPRIGHT * np.linalg.norm(upwards):
+                axis = np.abs(upwards).argmax()
+                stands = f"{'-' if upwards[axis] < 0 else ''}{'xyz'[axis]}"
+                raise ValueError(
+                    f"the person stands along {stands} in the static trial, expected z: state its "
+                    "vertical axis (up), or let the person stand upright"
+                )
+            return float(np.clip(upwards[2] / (1 - table["ankle"]), 0.5, 2.5))
     ratios = [
         length / table["lengths"][part]
         for (part, _), length in measured.items()
@@ -137,10 +154,13 @@ def _trunk_vectors(landmarks: dict[str, np.ndarray]) -> dict[tuple[str, ...], np
     for part in ("clavicle", "hip"):
         across = vectors[(f"{part}_l",)][1] - vectors[(f"{part}_r",)][1]
         if across <= 0:
-            raise ValueError(
-                "found hips and shoulders on opposite sides, or in one place: expected left "
-                "landmarks on the left of right ones"
-            )
+            found = "found hips and shoulders on opposite sides, or in one place"
+            raise ValueError(f"{found}: {LEFT_IS_LEFT}")
+    for near, far, axis, where in _BESIDE:
+        if {near, far} <= set(landmarks):
+            each = np.einsum("tij,tj->ti", R_trunk_world, landmarks[far] - landmarks[near])
+            if np.isfinite(each).any() and np.nanmedian(each[:, axis]) < 0:
+                raise ValueError(f"found {far} {where} {near}: {LEFT_IS_LEFT}, and toes ahead")
     return vectors
 
 

@@ -12,7 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.body.skeleton import JOINT_CENTRES, LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import (
+    JOINT_CENTRES,
+    LANDMARKS,
+    LEAST_HEIGHT_M,
+    MOST_HEIGHT_M,
+    Skeleton,
+)
 from jaxmocap.body.subject import NECK_HEAD, TRUNK, skeleton_stature
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import TomlTable
@@ -133,6 +139,9 @@ def scale_subject(
         skeleton = read_subject(static, "", table | stated)
         measured = length_deviations(static_landmarks(TomlTable(static, "", table)))
         height = skeleton_stature(skeleton)
+        if not LEAST_HEIGHT_M <= height <= MOST_HEIGHT_M:
+            expected = f"expected {LEAST_HEIGHT_M:g} to {MOST_HEIGHT_M:g} m: is its unit right?"
+            raise InputError(static, f"shows a person {height:.3g} m tall, {expected}")
     write_subject(out, skeleton, height)
     return ScaledBody(skeleton, height, measured, Path(out))
 

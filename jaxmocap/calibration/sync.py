@@ -200,7 +200,8 @@ def _why_unidentifiable(
     if scores[best] < MIN_CORRELATION:
         return (
             f"not identifiable: the image does not move as the hands do (correlation "
-            f"{scores[best]:.2f}); move them faster, or check the camera and [markers.on]"
+            f"{scores[best]:.2f}) within ±{search:g} s; search wider (--search), move them "
+            "faster, or check the camera and [markers.on]"
         )
     peaks = np.r_[False, (scores[1:-1] > scores[:-2]) & (scores[1:-1] > scores[2:]), False]
     elsewhere = peaks & (np.abs(lags - lags[best]) > OTHER_PEAK_DISTANCE_S)

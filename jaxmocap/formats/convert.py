@@ -181,7 +181,7 @@ def _write_markers(conversion: _Conversion, markers: Markers) -> None:
         )
     try:
         if kind == ".c3d":
-            write_c3d(conversion.target, markers)
+            conversion.warnings += write_c3d(conversion.target, markers)
             return
         if kind == ".csv":
             write_csv(

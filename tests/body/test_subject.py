@@ -230,6 +230,17 @@ def test_what_no_landmark_tells_follows_from_the_limbs(skeleton):
     np.testing.assert_allclose(guessed.lengths, person.lengths, atol=1e-4)
 
 
+@pytest.mark.parametrize(("axes", "stands"), [([2, 0, 1], "x"), ([1, 2, 0], "y")])
+def test_a_static_trial_of_another_vertical_is_refused(skeleton, axes, stands):
+    """Its height would be that of the shoulders' breadth, its limbs as thin and light."""
+    points = {name: point[None, axes] for name, point in standing(skeleton).items()}
+    with pytest.raises(ValueError, match=f"stands along {stands} in the static trial, expected z"):
+        scale_to_landmarks(skeleton, points)
+    upside_down = {name: point[None] * [1, -1, -1] for name, point in standing(skeleton).items()}
+    with pytest.raises(ValueError, match="stands along -z"):
+        scale_to_landmarks(skeleton, upside_down)
+
+
 NEEDED = ("neck", "hip_l", "hip_r", "shoulder_l", "shoulder_r")
 
 
@@ -250,6 +261,23 @@ def test_left_and_right_exchanged_in_a_static_trial_are_refused(skeleton, sides)
     left, right = (points[name] for name in sides)
     with pytest.raises(ValueError, match="hips and shoulders on opposite sides, or in one place"):
         scale_to_landmarks(skeleton, points | {f"{part}_l": left, f"{part}_r": right})
+
+
+@pytest.mark.parametrize("part", ["elbow", "knee", "ankle", None])
+def test_a_pair_or_all_sides_exchanged_are_refused(skeleton, part):
+    """A pair makes two bones too long; all sides make the head lean back that leaned forward."""
+    points = {name: point[None] for name, point in standing(skeleton).items()}
+    other = {"_l": "_r", "_r": "_l"}
+    exchanged = {
+        name: points[name[:-2] + other[name[-2:]]] if name[-2:] in other and (
+            part is None or name.startswith(part)) else point
+        for name, point in points.items()
+    }  # fmt: skip
+    found = f"found {part}_l on the right of {part}_r" if part else "found toe_l behind ankle_l"
+    with pytest.raises(ValueError, match=f"{found}: expected left landmarks on the left"):
+        scale_to_landmarks(skeleton, exchanged)
+    crossed = points | {"wrist_l": points["wrist_r"], "wrist_r": points["wrist_l"]}
+    scale_to_landmarks(skeleton, crossed)
 
 
 @pytest.mark.parametrize("needed", NEEDED)

@@ -76,6 +76,16 @@ def test_an_arm_that_moves_as_a_whole_is_no_wrist_and_is_doubted():
         assert any("hardly the joint" in warning for warning in held.warnings)
 
 
+def test_a_device_at_the_wrist_end_of_a_forearm_gets_no_offset_from_the_elbow():
+    """It turned about the wrist; a line for radius_l counts from the elbow, 25 cm away."""
+    markers = markers_of(*pivoting(TIMES, 2))
+    for at, is_usable in ((1.0, False), (0.0, True)):
+        places = [PLACES[0], MarkerPlace("LeftController", "radius_l", at), PLACES[2]]
+        _, offset, _ = estimate_offsets(markers, places)
+        assert any('state bone = "hand_l"' in each for each in offset.warnings) != is_usable
+        assert ("LeftController = " in offsets_text([offset])) == is_usable
+
+
 def test_a_joint_that_strays_is_doubted_and_single_jerks_weigh_little():
     (held, *_) = device_offsets(seed=3, stray_m=0.2).values()
     assert any("rest it" in warning for warning in held.warnings)

@@ -64,6 +64,31 @@ def test_a_recording_takes_a_file_in_which_one_bone_was_edited(tmp_path):
     ]
 
 
+@pytest.mark.parametrize("factor", [0.001, 0.0254, 2.0])
+def test_a_static_trial_in_another_unit_is_refused(tmp_path, refusal, factor):
+    landmarks = {name: factor * at[None] for name, at in standing(Skeleton.human(1.7)).items()}
+    write_trc(tmp_path / "static.trc", np.zeros(1), landmarks)
+    asked = "--static", tmp_path / "static.trc", "--out", tmp_path / "subject.toml"
+    sentence = f"shows a person {1.7 * factor:.3g} m tall, expected 0.5 to 2.5 m"
+    assert sentence in refusal("scale", *asked)
+    assert not (tmp_path / "subject.toml").exists()
+
+
+def test_a_marker_that_is_stated_for_two_landmarks_is_refused(tmp_path, refusal):
+    """The right upper arm would be as long as from the right shoulder to the left elbow."""
+    write_trc(tmp_path / "static.trc", np.zeros(1),
+              {name: at[None] for name, at in standing(Skeleton.human(1.7)).items()})  # fmt: skip
+    names = ("neck", "shoulder_l", "shoulder_r", "hip_l", "hip_r", "elbow_l")
+    out = ("--static", tmp_path / "static.trc", "--out", tmp_path / "subject.toml")
+    stated = [f"{name}={name}" for name in names]
+    asked = *out, "--landmarks", *stated
+    assert "found marker 'elbow_l', which is elbow_l already" in refusal(
+        "scale", *asked, "elbow_r=elbow_l"
+    )
+    # Nothing is measured by these.
+    assert main(["scale", *map(str, asked), "head=neck", "pelvis=hip_l"]) == 0
+
+
 def test_a_static_trial_says_what_each_length_rests_on(tmp_path, capsys):
     """Arms and trunk are measured, legs follow from the height that those suggest."""
     person = Skeleton.human(1.70)

@@ -133,6 +133,11 @@ def test_hands_that_tell_no_offset_are_asked_for_what_would(hands, film, search,
     assert actual.reason.startswith(says)
 
 
+def test_an_offset_beyond_the_search_is_answered_with_a_wider_one():
+    (actual,) = estimate_video_offsets(recorded(waving(1), 0.5), search=0.1)
+    assert "search wider (--search)" in actual.reason
+
+
 def test_hands_out_of_the_image_are_told():
     recording = recorded(waving(0), 0.1)
     away = replace(recording, positions_world=recording.positions_world + 9.0)

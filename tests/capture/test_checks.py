@@ -9,17 +9,23 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import on_device
 from gait_person import BODY_MARKERS
 from small_recording import small_recording, write_small_recording
 
-from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
+from jaxmocap.body.kinematics import forward, landmark_sites, landmarks, site_positions
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.capture.checks.body_reach import max_marker_distances, standing_points
 from jaxmocap.capture.checks.cameras import check_recording
-from jaxmocap.capture.checks.lengths import check_lengths, check_stretched_arms
+from jaxmocap.capture.checks.lengths import (
+    check_lengths,
+    check_proportions,
+    check_stretched_arms,
+)
 from jaxmocap.capture.checks.markers import check_markers
+from jaxmocap.capture.checks.sides import check_sides
 from jaxmocap.capture.filters import filter_markers
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.photographs import write_picture
@@ -27,6 +33,7 @@ from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.filters import Filters
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.formats.recordings.subject import read_subject
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera, project, visible_pixels
@@ -219,6 +226,31 @@ def test_left_and_right_exchanged_is_a_warning(sound, five):
     assert "left-handed" not in finding.sentence, "the ankles are not"
     (finding,) = check_recording(exchanged(five, (1, 2), (3, 4)), VIDEO_TIMES)
     assert "ankle_l and ankle_r" in finding.sentence and "left-handed" in finding.sentence
+
+
+OTHER_SIDES = (
+    ("ankle_{}", "ankle_{}"),
+    ("RAnkle", "LAnkle"),
+    ("Right.Foot", "Left.Foot"),
+    ("FOOT-R", "FOOT-L"),
+    ("Shoe 1", "Shoe 2"),
+)
+
+
+@pytest.mark.parametrize("names", OTHER_SIDES)
+def test_names_of_the_other_side_are_a_warning(five, names):
+    """What ankles alone do shows no side; their names do."""
+    right, left = names[0].format("r"), names[1].format("l")
+    on_left, on_right = five.places[3], five.places[4]
+    assert (on_left.bone, on_right.bone) == ("tibia_l", "tibia_r")
+    for first, second, is_wrong in ((right, left, "Shoe" not in right), (left, right, False)):
+        ankles = replace(on_left, name=first), replace(on_right, name=second)
+        found = [
+            each.sentence for each in check_sides(replace(five, places=(*five.places[:3], *ankles)))
+        ]
+        assert bool(found) == is_wrong
+        if found:
+            assert f"{right} on tibia_l and {left} on tibia_r: by their names" in found[0]
 
 
 @pytest.fixture(scope="module")
@@ -473,6 +505,24 @@ def test_reach_is_the_length_of_the_stretched_body():
     trunk = sum(length[f"spine{i}"] for i in (1, 2, 3)) + length["clavicle_l"]
     leg = length["hip_r"] + length["femur_r"] / 2
     assert actual[0, 3] == pytest.approx(trunk + length["humerus_l"] / 2 + leg)
+
+
+@pytest.mark.parametrize("wrists", [{"wrist_l": "wrist_r", "wrist_r": "wrist_l"}, {}])
+def test_a_limb_between_other_landmarks_is_a_warning(tmp_path, sound, wrists):
+    """Exchanged wrists of a person whose arms hang; both tables of proportions are usual."""
+    pose = Pose(np.zeros(3), np.eye(4)[0], np.zeros(21))
+    at = dict(zip(LANDMARKS, np.asarray(landmarks(sound.skeleton, on_device(pose))), strict=True))
+    used = {name: wrists.get(name, name) for name in LANDMARKS if name not in ("pelvis", "head")}
+    write_trc(tmp_path / "static.trc", np.zeros(1), {name: at[name][None] for name in used})
+    stated = {"static": "static.trc", "landmarks": used}
+    skeleton = read_subject(tmp_path / "a.toml", "[subject]", stated)
+    found = [each.sentence for each in check_markers(replace(sound, skeleton=skeleton))]
+    assert [s[:26] for s in found if "exchanged?" in s] == (
+        ["[subject]: radius_l is 0.4", "[subject]: radius_r is 0.4"] if wrists else []
+    )
+    for proportions in ("winter", "joint_centres"):
+        body = Skeleton.human(1.6, proportions=proportions)
+        assert not list(check_proportions(replace(sound, skeleton=body)))
 
 
 def test_lengths_of_a_long_recording_take_no_more_memory_than_those_of_a_short_one():

@@ -70,6 +70,17 @@ def test_a_single_sample_stays_at_its_time(tmp_path, options, time):
     np.testing.assert_allclose(read_c3d(paths[1]).times, [time], rtol=1e-6)
 
 
+@pytest.mark.parametrize(("step", "moved"), [(None, 0.317), (0.1, 0.017), (0.001, None)])
+def test_a_first_sample_between_frames_is_moved_with_a_sentence(tmp_path, capsys, step, moved):
+    times = 16.683 + np.arange(2 if step else 1) * (step or 0)
+    write_csv(tmp_path / "a.csv", times, {"A": np.ones((len(times), 3))})
+    paths = [str(tmp_path / name) for name in ("a.csv", "a.c3d")]
+    assert main(["convert", *paths]) == 0
+    printed = capsys.readouterr().out
+    assert (f"moved: all times by +{moved} s" in printed) == ("moved" in printed) == bool(moved)
+    np.testing.assert_allclose(read_c3d(paths[1]).times, times + (moved or 0), atol=1e-5)
+
+
 def test_a_marker_at_the_origin_is_not_taken_for_a_missing_one(tmp_path):
     write_c3d(tmp_path / "a.c3d", Markers(np.zeros(1), ("O",), np.zeros((1, 1, 3))))
     np.testing.assert_allclose(read_c3d(tmp_path / "a.c3d").positions, 0, atol=2e-9)

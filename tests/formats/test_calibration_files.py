@@ -44,6 +44,14 @@ rectification_matrix:
 """
 
 
+@pytest.mark.parametrize("name", ["lab.xcp", "lab.qca.txt", "cameras.json"])
+def test_a_file_of_another_system_is_answered_with_what_converts_it(tmp_path, name):
+    path = written(tmp_path, name, '<Cameras VERSION="1.0"></Cameras>')
+    assert "jaxmocap convert makes .toml of other" in complaint(read_calibration, path)
+    assert "no such file" in complaint(read_calibration, tmp_path / f"no_{name}")
+    assert "line 1" in complaint(read_calibration, written(tmp_path, "c.toml", "<"))
+
+
 # One section -------------------------------------------------------------------------------------
 
 KEYS = st.text("abcxyz_ é\"'[]#=.0", min_size=1, max_size=5)

@@ -40,6 +40,8 @@ REWEIGHTINGS = 10
 MAX_STD_M = 0.01
 MAX_JOINT_RMS_M = 0.01
 MAX_LENGTH_M = 0.25
+# A bone -> the one whose joint is at its far end, about which hands turn.
+BONE_BEYOND = {"radius_l": "hand_l", "radius_r": "hand_r"}
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,12 @@ class DeviceOffset:
             warnings.append(
                 f"{100 * length:.0f} cm from what it rotated about, which is hardly the joint of "
                 f"{self.place.bone}: rest what carries it"
+            )
+        if self.place.bone in BONE_BEYOND and self.place.at > 0.5:
+            beyond = BONE_BEYOND[self.place.bone]
+            warnings.append(
+                f"stated at the wrist, but the joint of {self.place.bone} is the elbow, from which "
+                f'its offset would count: state bone = "{beyond}" and find it again'
             )
         return tuple(warnings)
 

@@ -1,5 +1,6 @@
 """Do a body's lengths go with its markers? See ``checks``.
 
+A limb is about as long as people's of that stature: else it was measured between other landmarks.
 Markers at both ends of a bone are its length apart. Others come no farther apart than the stretched
 body between them: where they do, it is too short, and where hands come nearly as far, the recording
 says more of the arms than a height does.
@@ -13,11 +14,22 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.model import marker_sites
+from jaxmocap.body.skeleton import (
+    JOINT_CENTRES,
+    LEAST_HEIGHT_M,
+    MOST_HEIGHT_M,
+    WINTER,
+    Skeleton,
+)
+from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.body_reach import bones_between, max_marker_distances, standing_points
 from jaxmocap.formats.marker_sets.sets import determine_body
 from jaxmocap.formats.recordings.recording import Recording
 
+# A limb may be longer or shorter by this share than both tables of proportions have it: four
+# standard deviations among people.
+UNUSUAL_SHARE = 0.25
 # A bone's length may differ from that between its markers by this share,
 BONE_SHARE = 0.08
 # and markers may come so much farther apart than the body reaches.
@@ -35,6 +47,7 @@ FARTHEST = 99.0
 # Arms that come so far of what they reach are stretched: an elbow bent by 35 degrees is at 0.95.
 STRETCHED_SHARE = 0.95
 ARM, TRUNK, LEG = ("upper_arm", "forearm", "hand"), ("spine", "head"), ("thigh", "shank")
+LIMBS = ("upper_arm", "forearm", *LEG)
 MEASURE = "measure them (`jaxmocap scale`), or check [subject] and [markers.on]"
 
 
@@ -80,6 +93,25 @@ def check_lengths(recording: Recording) -> Iterator[Finding]:
             f"body {most}{pair.reach:.2f} m: {bone_list(pair.bones)} {is_are} too "
             f"{off}; {MEASURE}",
         )
+
+
+def check_proportions(recording: Recording) -> Iterator[Finding]:
+    """Limbs as nobody of that stature has them: a landmark is of another marker, or side."""
+    skeleton = recording.skeleton
+    stature = skeleton_stature(skeleton)
+    tall = float(np.clip(stature, LEAST_HEIGHT_M, MOST_HEIGHT_M))
+    bodies = [Skeleton.human(tall, proportions=each) for each in (JOINT_CENTRES, WINTER)]
+    for bone in skeleton.tree.names_in(*LIMBS):
+        long = float(skeleton.lengths[skeleton.tree.bone(bone)])
+        usual = [float(body.lengths[body.tree.bone(bone)]) for body in bodies]
+        least, most = min(usual), max(usual)
+        if not (1 - UNUSUAL_SHARE) * least <= long <= (1 + UNUSUAL_SHARE) * most:
+            yield Finding(
+                "lengths",
+                f"[subject]: {bone} is {long:.2f} m long, of somebody {stature:.2f} m tall usually "
+                f"{least:.2f} to {most:.2f} m: was it measured between other markers, or sides "
+                "exchanged?",
+            )
 
 
 def check_stretched_arms(recording: Recording, measured: Sequence[str]) -> Iterator[Finding]:

@@ -14,7 +14,7 @@ from jaxmocap.body.model import LOWER_LEG
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.body_reach import ReachCounts, standing_points
-from jaxmocap.capture.checks.lengths import check_lengths
+from jaxmocap.capture.checks.lengths import check_lengths, check_proportions
 from jaxmocap.capture.checks.sides import check_heights, check_sides
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.tables import usual_step
@@ -71,6 +71,7 @@ def check_markers(recording: Recording) -> list[Finding]:
     findings += [
         *_check_origin(recording),
         *_check_up(recording),
+        *check_proportions(recording),
         *check_sides(recording),
         *check_heights(recording),
     ]

@@ -112,6 +112,7 @@ def check_sides(recording: Recording) -> Iterator[Finding]:
     facing = facing_of_pairs(recording)
     wrong = [(pair, reason) for pair, reason in facing if reason]
     if not wrong:
+        yield from _check_names(recording)
         return
     names = [tuple(recording.marker_names[i] for i in pair) for pair, _ in wrong]
     exchanged = ", ".join(f"{left} and {right}" for left, right in names)
@@ -125,6 +126,30 @@ def check_sides(recording: Recording) -> Iterator[Finding]:
         "left and right",
         f"[markers.on] {exchanged}: {wrong[0][1]}; left and right are exchanged{alternative}",
     )
+
+
+def _check_names(recording: Recording) -> Iterator[Finding]:
+    """Markers whose names say left and right the other way round than their bones."""
+    others = [
+        f"{a.name} on {a.bone} and {b.name} on {b.bone}"
+        for a in recording.places
+        for b in recording.places
+        if a.bone.endswith("_l") and b.bone == f"{a.bone[:-2]}_r" and _is_mirrored(a.name, b.name)
+    ]
+    if others:
+        sentence = f"[markers.on] {', '.join(others)}: by their names left and right are exchanged"
+        yield Finding("left and right", sentence)
+
+
+def _is_mirrored(right: str, left: str) -> bool:
+    """Do two names differ in R and L, or right and left, alone?"""
+    for of_right, of_left in (("right", "left"), ("r", "l")):
+        for i in range(len(right)):
+            end = i + len(of_right)
+            other = f"{right[:i]}{of_left}{right[end:]}"
+            if right[i:end].lower() == of_right and left.lower() == other.lower():
+                return True
+    return False
 
 
 def check_heights(recording: Recording) -> Iterator[Finding]:

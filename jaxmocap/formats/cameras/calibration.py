@@ -105,7 +105,14 @@ def read_intrinsics(path: str | Path, name: str) -> Intrinsics:
 def _sections(path: Path) -> dict[str, Any]:
     if path.suffix.lower() in YAML_SUFFIXES:
         return read_opencv_yaml(path)
-    return {name: table for name, table in read_toml(path).items() if name != METADATA_SECTION}
+    try:
+        tables = read_toml(path)
+    except InputError:
+        if path.suffix.lower() == ".toml" or not path.is_file():
+            raise
+        others = "jaxmocap convert makes .toml of other systems' calibrations"
+        raise InputError(path, f"not TOML, expected .toml, .yml or .yaml ({others})") from None
+    return {name: table for name, table in tables.items() if name != METADATA_SECTION}
 
 
 def pick_camera(path: str | Path, cameras: Mapping[str, _Section], name: str) -> _Section:

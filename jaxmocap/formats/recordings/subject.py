@@ -30,6 +30,8 @@ _HEIGHT_KEYS = ("height", "mass", "proportions", "bones")
 LENGTH_RANGE_M = (0.01, 1.0)
 # Masses that a bone may have, kilograms.
 MASS_RANGE_KG = (0.01, 100.0)
+# Landmarks of a static trial that are accepted and measure nothing.
+_UNUSED_LANDMARKS = ("pelvis", "head")
 _STATIC_KEYS = ("static", "up", "to_world", "landmarks", "mass")
 DEFAULT_HEIGHT = 1.75
 _SKELETON_FIELDS = {
@@ -173,9 +175,15 @@ def static_landmarks(fields: TomlTable) -> dict[str, np.ndarray]:
     R_world_file = read_axes(fields)
     markers = read_markers(path).points()
     landmark_table = _landmark_table(fields)
-    landmarks = {}
+    landmarks: dict[str, np.ndarray] = {}
+    taken: dict[str, str] = {}
     for landmark in landmark_table.entries:
         marker = landmark_table.text(landmark)
+        if landmark not in _UNUSED_LANDMARKS:
+            if marker in taken:
+                problem = f"found marker {short_repr(marker)}, which is {taken[marker]} already"
+                raise landmark_table.error(landmark, f"{problem}, expected one of its own")
+            taken[marker] = landmark
         if marker not in markers:
             raise landmark_table.error(
                 landmark,

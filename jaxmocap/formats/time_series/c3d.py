@@ -25,6 +25,7 @@ from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series import c3d_process
 from jaxmocap.formats.time_series.tables import (
     METRES_PER_UNIT,
+    MILLISECOND_S,
     Markers,
     even_rate,
     make_markers,
@@ -158,10 +159,11 @@ def _labels(names: list[str]) -> list[str]:
     return short if alone else names
 
 
-def write_c3d(path: str | Path, markers: Markers) -> None:
+def write_c3d(path: str | Path, markers: Markers) -> list[str]:
     """Write a C3D file in millimetres, as 32-bit numbers, missing points with residual −1.
 
     The first sample becomes the frame nearest to its time; a single one by the markers' own rate.
+    A sentence where that is more than a millisecond away, or none.
 
     Raises:
         InputError: times that are not evenly spaced or begin before 0, or more frames or longer
@@ -196,6 +198,9 @@ def write_c3d(path: str | Path, markers: Markers) -> None:
     frames, points = len(times), len(markers.names)
     with replacing(path, lambda part: _is_complete(part, frames, points)) as temporary:
         file.write(str(temporary))
+    if abs(late := first / rate - times[0]) <= MILLISECOND_S:
+        return []
+    return [f"moved: all times by {late:+.3g} s, since C3D counts frames from 0 s, at {rate:g} Hz"]
 
 
 def _is_complete(path: Path, frames: int, points: int) -> bool:
