@@ -20,7 +20,7 @@ ARM_LANDMARKS = np.stack(
 )
 # Beyond ``LONGEST_INTERVAL_S`` the standard deviation of how far away a landmark is grows by so
 # much, metres per second, and for so many seconds at most. By five rendered clips with gaps of up
-# to a second; three others and four real cameras agree.
+# to a second; 90 % intervals of three others hold 78 to 94 %, of four real cameras 62 to 88 %.
 DRIFT_M_S, DRIFT_S = 0.45, 1.0
 
 
