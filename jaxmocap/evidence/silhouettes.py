@@ -22,6 +22,7 @@ from jaxmocap.body.proportions import scale_skeleton
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
 from jaxmocap.body.tree import ROOT_DOF, Tree
+from jaxmocap.compilation.arrays import Numbers
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.geometry.cameras import (
     NEAREST_M,
@@ -69,6 +70,9 @@ class SilhouetteGrids(NamedTuple):
     # () image pixels of a metre at the person, where the grids were measured.
     per_metre: Array | np.ndarray
     legs: LegGrid | None = None  # the lower half; None where nobody looked
+    # () 1 while no marker is measured, else 0; None for never. All limbs are as thick as
+    # ``per_metre`` has them then: by its own thickness the person would come nearer and nearer.
+    unmarked: Array | np.ndarray | None = None
 
     @property
     def recognised(self) -> np.ndarray:
@@ -138,7 +142,7 @@ def project_limbs(
 ) -> tuple[Cones, Discs, Array]:
     """The body's limbs (K), world, and in cells; the visible share (S * S,) of a forearm."""
     flesh = cones(skeleton, frames, skeleton.tree.drawn)
-    outlines = project_flesh(skeleton.tree, camera, flesh, grids.per_metre)
+    outlines = project_flesh(skeleton.tree, camera, flesh, grids.per_metre, None, grids.unmarked)
     discs = discs_in_region(grids.region, outlines)
     return flesh, discs, _visible(skeleton.tree, camera, flesh, discs, grids.person)
 
@@ -149,6 +153,7 @@ def project_flesh(
     flesh: Cones,
     per_metre: Array | np.ndarray,
     bones: np.ndarray | None = None,
+    unmarked: Array | np.ndarray | None = None,
 ) -> Discs:
     """Limbs in the image, pixels; trunk and legs as thick as they are drawn anywhere.
 
@@ -161,15 +166,18 @@ def project_flesh(
         flesh: of the drawn bones, or of others.
         per_metre: () pixels of a metre of trunk and legs.
         bones: of the flesh; those that are drawn without it.
+        unmarked: as of ``SilhouetteGrids``; arms and head are as thick anywhere, too, where 1.
     """
     discs = project_cones(camera, flesh)
-    alike = _as_thick_anywhere(tree, tree.drawn if bones is None else bones)[:, None]
+    bones = tree.drawn if bones is None else bones
+    alike = _as_thick_anywhere(tree, bones, unmarked)[:, None]
     return discs._replace(radii=jnp.where(alike, flesh.radii * per_metre, discs.radii))
 
 
-def _as_thick_anywhere(tree: Tree, bones: np.ndarray) -> np.ndarray:
+def _as_thick_anywhere(tree: Tree, bones: np.ndarray, unmarked: Numbers | None) -> Numbers:
     """Which limbs (K,) look as thick far away as nearby."""
-    return ~np.isin(bones, tree.bones_in(*THICK_BY_DISTANCE))
+    alike = ~np.isin(bones, tree.bones_in(*THICK_BY_DISTANCE))
+    return alike if unmarked is None else alike | (unmarked > 0)
 
 
 def limbs_fit(
@@ -219,14 +227,14 @@ def silhouette_fit(
     person = skeleton if proportions is None else scale_skeleton(skeleton, proportions)
     frames = forward(person, pose)
     flesh, discs, visible = project_limbs(person, frames, camera, grids)
-    leverage = _leverage(person, frames, camera, flesh, discs, grids.region, bones)
+    leverage = _leverage(person, frames, camera, flesh, discs, grids, bones)
     if proportions is not None:
 
         def limbs(shared: Array) -> Discs:
             own = scale_skeleton(skeleton, shared[:-3])
             body = cones(own, forward(own, pose), bones)
             there = turn_camera(camera, shared[-3:])
-            outlines = project_flesh(own.tree, there, body, grids.per_metre)
+            outlines = project_flesh(own.tree, there, body, grids.per_metre, None, grids.unmarked)
             return discs_in_region(grids.region, outlines)
 
         by_shared = jax.jacfwd(limbs)(jnp.pad(proportions, (0, 3)))
@@ -251,8 +259,8 @@ def silhouette_hessian(
     def limbs(step: Array) -> tuple[Array, Discs, Array]:
         frames = forward(skeleton, retract(pose, step))
         flesh, discs, visible = project_limbs(skeleton, frames, camera, grids)
-        bones, region = skeleton.tree.drawn, grids.region
-        return _leverage(skeleton, frames, camera, flesh, discs, region, bones), discs, visible
+        bones = skeleton.tree.drawn
+        return _leverage(skeleton, frames, camera, flesh, discs, grids, bones), discs, visible
 
     still = jnp.zeros(ROOT_DOF + pose.angles.size, pose.angles.dtype)
     leverage, discs, visible = limbs(still)
@@ -317,16 +325,16 @@ def _leverage(
     camera: Camera,
     flesh: Cones,
     discs: Discs,
-    region: Region,
+    grids: SilhouetteGrids,
     bones: np.ndarray,
 ) -> Array:
     """Derivatives (K, 6, 6 + D) of the limbs' discs in cells."""
     ahead = depth_gradient(camera)
-    alike = _as_thick_anywhere(skeleton.tree, bones)[:, None, None]
+    alike = _as_thick_anywhere(skeleton.tree, bones, grids.unmarked)[:, None, None]
 
     def of_end(points_world: Array, radii: Array) -> tuple[Array, Array]:
         J = jacobian(skeleton, frames, bones, points_world)
-        cells = projection_jacobian(camera, points_world) / region.scale
+        cells = projection_jacobian(camera, points_world) / grids.region.scale
         # Sums of three products: as one loop they are faster than small matrix products.
         centre = sum(cells[:, :, i, None] * J[:, i, None] for i in range(3))
         deeper = sum(ahead[i] * J[:, i, None] for i in range(3))

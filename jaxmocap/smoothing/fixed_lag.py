@@ -30,7 +30,6 @@ from threadpoolctl import ThreadpoolController
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, unpack
-from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearance
 from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.evidence.markers import measured_noise
@@ -60,6 +59,7 @@ from jaxmocap.smoothing.window.track import (
     track_poses,
     update_frames_markers,
 )
+from jaxmocap.smoothing.window.unmarked import ARM_LANDMARKS, MarkerGaps, add_drift, are_missing
 from jaxmocap.solvers.fading import Fading
 
 # A marker sample is an event of the window so many seconds after the last one, and where no event
@@ -77,10 +77,6 @@ MOST_WAITING, MOST_WAITING_UNSEEN = 3, 2
 # Silhouettes err alike from frame to frame. So deviations are so many times larger than by counting
 # each frame for itself: by ten rendered clips and one real person; by six real people who walk.
 ERRS_ALIKE, ERRS_ALIKE_WITHOUT_VIDEO = 1.4, 2.6
-# What the search for arms moves: elbow, wrist and hand's tip of either side.
-ARM_LANDMARKS = np.stack(
-    [landmark_rows([f"{p}_{s}" for p in ("elbow", "wrist", "hand")]) for s in "lr"]
-)
 # Time constant with which corrections fade in, seconds.
 FADE_S = 0.07
 
@@ -120,8 +116,13 @@ class FixedLagSmoother:
             RunningAppearance(model.skeleton, model.camera(index), model.no_foot_is_marked)
             for index in range(model.camera_count)
         ]
+        # Several cameras tell how far away the person is.
+        self._eye = np.asarray(model.camera(0).position_world) if model.camera_count == 1 else None
         self._no_goals = np.full((2, 3), np.nan, model.dtype)
         self._blas = ThreadpoolController()
+        # Image pixels of a metre at the person while markers were measured, by camera.
+        self._per_metre: dict[int, Array | np.ndarray] = {}
+        self._gaps, self._seconds = MarkerGaps(model), deque[np.ndarray]()
         self._count = self._taken = 0
         self._noise_variance = 0.0
         self._begin()
@@ -167,6 +168,7 @@ class FixedLagSmoother:
         images = [None if each is None or is_blank(each) else each for each in images or ()]
         sample = Sample(self._count, float(time), np.asarray(markers_world))
         self._count += 1
+        self._seconds.append(self._gaps.step(sample.time, sample.markers_world))
         is_placed = report is not None and bool(report.placed)
         if not is_placed and self.lies_between(time, images, sample.markers_world):
             self._take(sample)
@@ -241,24 +243,31 @@ class FixedLagSmoother:
                 )
                 if step.lines is not None:
                     lines.append(jax.tree.map(lambda part: np.asarray(part, dtype), step.lines))
-                frames = self._frames(step.images, there.pose)
+                unmarked = bool(are_missing(self._seconds[step.number - self._count][2]))
+                frames = self._frames(step.images, there.pose, unmarked)
                 events.append(WindowEvent(step.number, step.time, markers, there.pose, frames))
             update_frames_markers(events, self._samples)
         self._news = new_events(self.model, events[first:], measured, lines, since, self._news)
         return self._news
 
-    def _frames(self, images: Images, pose: Pose) -> list[WindowFrame]:
+    def _frames(self, images: Images, pose: Pose, unmarked: bool) -> list[WindowFrame]:
         """Camera, what its image shows about a pose, width and height; of new images only."""
         return [
-            (camera, self._measure_image(camera, image, pose), (image.shape[1], image.shape[0]))
-            for camera, image in enumerate(images or ())
+            (each, self._measure_image(each, image, pose, unmarked), image.shape[1::-1])
+            for each, image in enumerate(images or ())
             if image is not None
         ]
 
-    def _measure_image(self, camera: int, image: np.ndarray, pose: Pose) -> MeasuredFrame:
+    def _measure_image(
+        self, camera: int, image: np.ndarray, pose: Pose, unmarked: bool
+    ) -> MeasuredFrame:
         """What a camera shows about a pose, weighted as in the settings."""
         frame = self._appearances[camera].measure(image, pose, SOFTNESS)
-        return frame._replace(grids=self.settings.silhouettes.weigh(frame.grids))
+        if not unmarked:
+            self._per_metre[camera] = frame.grids.per_metre
+        metre = self._per_metre.get(camera, frame.grids.per_metre)
+        grids = frame.grids._replace(per_metre=metre, unmarked=np.float32(unmarked))
+        return frame._replace(grids=self.settings.silhouettes.weigh(grids))
 
     def _settle(self, final: bool) -> list[SmoothedPose]:
         """Solve the window, give out what has waited long enough, forget and learn."""
@@ -303,8 +312,8 @@ class FixedLagSmoother:
         unrecognised = {event.number: event.unrecognised for event in events}
         return [
             SmoothedPose(
-                each.number, each.time, unpack(pose), deviations, found.from_prior,
-                unrecognised.get(each.number, ()),
+                each.number, each.time, unpack(pose), self._with_drift(deviations, pose),
+                found.from_prior, unrecognised.get(each.number, ()),
             )
             for each, pose in zip(track, poses, strict=True)
         ]  # fmt: skip
@@ -320,6 +329,12 @@ class FixedLagSmoother:
             spread = deviations[ARM_LANDMARKS], found.arms_spread
             deviations[ARM_LANDMARKS] = np.hypot(*spread)
         return deviations
+
+    def _with_drift(self, deviations: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """Deviations (L, 3) of the next packed pose that is given out; steps come out in order."""
+        seconds = self._seconds.popleft()
+        eye = self._eye
+        return deviations if eye is None else add_drift(deviations, seconds, pose[:3], eye)
 
     def _fade(self, pose: TrackPose) -> TrackPose:
         """A pose with what is left of corrections."""

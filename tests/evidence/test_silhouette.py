@@ -309,11 +309,14 @@ def body_arguments(grids: SilhouetteGrids, camera=FRONT, pose=TRUTH, softness: f
     return on_device((PERSON, proportions, pose, camera, grids, softness), float)
 
 
-@pytest.mark.parametrize("legs", [False, True])
-def test_the_silhouettes_gradient_is_half_its_costs_without_distortion(legs):
+@pytest.mark.parametrize(
+    ("legs", "unmarked"), [(False, None), (True, None), (False, np.zeros(())), (False, np.ones(()))]
+)
+def test_the_silhouettes_gradient_is_half_its_costs_without_distortion(legs, unmarked):
     """What hides a forearm has no derivative, in either."""
     with double():
-        arguments = body_arguments(random_grids(1, legs=legs))
+        grids = random_grids(1, legs=legs)._replace(unmarked=unmarked)
+        arguments = body_arguments(grids)
         cost, _, gradient = FITTED(*arguments)
         still = on_device(AT_REST)
         expected = np.asarray(STEPPED(still, *arguments)) / 2
@@ -360,6 +363,9 @@ def test_trunk_and_legs_that_come_nearer_look_no_thicker():
         np.testing.assert_allclose(sizes[~by_distance], float(PER_METRE), rtol=1e-4)
         assert np.ptp((np.asarray(plain.radii) / flesh.radii)[~by_distance]) > 10
         np.testing.assert_allclose(actual.radii[by_distance], plain.radii[by_distance], rtol=1e-6)
+        # Without a marker, nor do arms and head.
+        alike = project_flesh(tree, FRONT, flesh, PER_METRE, unmarked=np.ones(()))
+        np.testing.assert_allclose(alike.radii / flesh.radii, float(PER_METRE), rtol=1e-4)
         for end in ("near", "far"):
             np.testing.assert_allclose(getattr(actual, end), getattr(plain, end))
 

@@ -1,5 +1,6 @@
 """Smoothing with a fixed lag: calm, causal, and complete whatever is missing."""
 
+from dataclasses import replace
 from functools import cache, partial, wraps
 from itertools import pairwise
 
@@ -63,6 +64,7 @@ from jaxmocap.smoothing.window.track import (
     markers_at,
     move_near_markers,
 )
+from jaxmocap.smoothing.window.unmarked import MarkerGaps, add_drift
 from jaxmocap.solvers.fading import Fading
 
 COUNT = 24
@@ -205,6 +207,61 @@ def test_what_comes_later_changes_nothing_that_is_final(smoothed):
             np.testing.assert_array_equal(a.deviations, b.deviations)
     late = [points_of(poses_of(joined(out)[half + 2 :])) for out in (smoothed, again)]
     assert np.abs(late[0] - late[1]).max() > 0.03
+
+
+# Without markers ---------------------------------------------------------------------------------
+
+# The first frame without.
+LEFT_OUT = 8
+
+
+def away_from_camera(points: np.ndarray) -> np.ndarray:
+    """Distances (...) along the axis of camera 0, metres."""
+    return points @ np.asarray(CAMERAS[0].T_cam_world)[2, :3]
+
+
+@pytest.fixture(scope="module")
+def unmarked() -> list[SmoothedPose]:
+    """Somebody a fifth thicker than is drawn, half a second without any marker."""
+    wall, clothed = room(SIZE), replace(PERSON, diameters=PERSON.diameters * 1.2)
+    poses = [at(truth(COUNT), i) for i in range(COUNT)]
+    frames = with_noise([paint(CAMERAS[0], clothed, pose, wall).image for pose in poses], 3)
+    targets = markers().copy()
+    targets[LEFT_OUT:] = np.nan
+    return joined(steps(shown=frames, targets=targets))
+
+
+def test_somebody_thicker_than_is_drawn_comes_no_nearer_without_markers(unmarked):
+    off = away_from_camera(points_of(poses_of(unmarked)) - points_of(truth(COUNT)))
+    trunk = landmark_rows(("pelvis", "neck", "vertex"))
+    assert np.abs(off[LEFT_OUT:, trunk]).max() < 0.1
+
+
+def test_without_markers_the_distance_is_less_and_less_sure(unmarked):
+    deviations = np.stack([each.deviations for each in unmarked])
+    ahead = np.asarray(CAMERAS[0].T_cam_world)[2, :3]
+    along = np.linalg.norm(deviations * ahead, axis=-1)
+    neck = LANDMARKS.index("neck")
+    assert along[-1, neck] > along[LEFT_OUT, neck] + 0.1
+    off = np.abs(points_of(poses_of(unmarked)) - points_of(truth(COUNT)))[LEFT_OUT:]
+    assert (off < 1.645 * deviations[LEFT_OUT:]).mean() > 0.8
+
+
+def test_an_arm_is_less_and_less_sure_after_its_own_last_marker():
+    gaps, points = MarkerGaps(Model.create(PERSON, MARKERS)), markers()[0].copy()
+    gaps.step(0.0, points)
+    points[1] = np.nan
+    seconds = gaps.step(0.6, points)
+    np.testing.assert_allclose(seconds, [0.6, 0, 0])
+    before, camera = np.full((len(LANDMARKS), 3), 0.05), np.array([3.0, 0.0, 0.0])
+    after = add_drift(before, seconds, np.zeros(3), camera)
+    is_wider = after > before + 0.1
+    wider = [f"{part}_l" for part in ("elbow", "wrist", "hand")]
+    assert [name for name, each in zip(LANDMARKS, is_wider[:, 0], strict=True) if each] == wider
+    # Along the line of sight alone.
+    np.testing.assert_array_equal(after[:, 1:], before[:, 1:])
+    points[:] = np.nan
+    assert (add_drift(before, gaps.step(1.2, points), np.zeros(3), camera) > before)[:, 0].all()
 
 
 # The search --------------------------------------------------------------------------------------

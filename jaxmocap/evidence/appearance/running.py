@@ -64,7 +64,7 @@ def _empty(cells: int) -> Grid:
 _NOWHERE = Region(np.zeros(2, np.float32), np.zeros((), np.float32))
 NO_GRIDS = SilhouetteGrids(
     _NOWHERE, _empty(UPPER_CELLS), _empty(UPPER_CELLS), np.ones((), np.float32),
-    LegGrid(_NOWHERE, _empty(LOWER_CELLS)),
+    LegGrid(_NOWHERE, _empty(LOWER_CELLS)), np.zeros((), np.float32),
 )  # fmt: skip
 
 
