@@ -15,6 +15,7 @@ from jaxmocap.cli.program import COMMANDS, GROUPS, main
 from jaxmocap.formats.files.errors import InputError, OutputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.pipelines import view
 from jaxmocap.pipelines.demo import standing_recording
@@ -88,6 +89,17 @@ def test_evaluate_compares_with_a_reference_by_time_stamp(tracked, capsys, tmp_p
     assert figures["mean_over_joints"]["mean_m"] < 0.02
     assert main(["evaluate", str(out), truth, *wrists, "--up", "y", "--json", "-"]) == 0
     assert json.loads(capsys.readouterr().out)["mean_over_joints"]["mean_m"] > 0.5
+
+
+def test_evaluate_says_so_where_the_references_other_axis_upwards_fits(tracked, capsys, tmp_path):
+    _, out, _, _ = tracked
+    truth, wrists = out.parent / "markers.trc", ["--match", "wrist_l=LWrist", "wrist_r=RWrist"]
+    upright = read_markers(truth)
+    y_up = {name: points[:, [1, 2, 0]] for name, points in upright.points().items()}
+    write_trc(tmp_path / "y.trc", upright.times, y_up)
+    for reference, warns in ((truth, False), (tmp_path / "y.trc", True)):
+        assert main(["evaluate", str(out), str(reference), *wrists]) == 0
+        assert ("warning  with --up y the mean is" in capsys.readouterr().out) == warns
 
 
 def test_view_says_how_to_open_the_recording_where_there_is_no_display(

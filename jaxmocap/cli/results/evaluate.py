@@ -4,11 +4,17 @@ INPUTS: a folder that ``track`` wrote, a reference's file. OUTPUTS: errors of ea
 """
 
 import argparse
+from typing import TYPE_CHECKING
 
 from jaxmocap.cli.command import PairsAction, files_read, finite_number, pair, report
 
+if TYPE_CHECKING:
+    from jaxmocap.evaluation.errors import Errors
+
 PURPOSE = "compare tracked joints with a reference"
 EXAMPLE = "jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow"
+# Errors of more, metres, may be those of another vertical, if that has so small a share of them.
+FAR_M, MUCH_NEARER = 0.3, 0.4
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +57,7 @@ def run(options: argparse.Namespace) -> None:
     errors = evaluate_directory(
         options.directory, options.truth, options.match, options.up, options.offset
     )
-    lines, files = [format_table(errors)], []
+    lines, files = [format_table(errors), *_other_vertical(options, errors)], []
     if options.out:
         try:
             plot_reliability(options.out, by_joint(errors))
@@ -62,3 +68,19 @@ def run(options: argparse.Namespace) -> None:
         files.append(options.out)
         lines += ["", f"written  {options.out}"]
     report(options, "\n".join(lines), errors.as_dict() | {"files": files})
+
+
+def _other_vertical(options: argparse.Namespace, errors: "Errors") -> list[str]:
+    """A line where the reference fits far better with its other axis upwards."""
+    from jaxmocap.evaluation.errors import evaluate_directory
+    from jaxmocap.formats.time_series.markers import default_up
+
+    if options.up is not None or not errors.mean > FAR_M:
+        return []
+    other = "z" if default_up(options.truth) == "y" else "y"
+    turned = evaluate_directory(
+        options.directory, options.truth, options.match, other, options.offset
+    )
+    if turned.mean > MUCH_NEARER * errors.mean:
+        return []
+    return ["", f"warning  with --up {other} the mean is {100 * turned.mean:.2f} cm"]
