@@ -33,6 +33,7 @@ from jaxmocap.evidence.terms import (
     PosedBody,
     Term,
     body_sites,
+    check_measured,
     joined_residuals,
     posed_body,
     residual_of,
@@ -63,22 +64,17 @@ def expand_terms(
     """
     body = posed_body(model, pose, forward(model.skeleton, pose))
     N = ROOT_DOF + pose.angles.size
-    each, bending = [], jnp.zeros((N, N), pose.angles.dtype)
-    for term in terms:
-        r, J = residual_of(term, model, body, measured), term.jacobian(model, body, measured)
-        S = term.curvature(model, body, measured, r) if bends and J is not None else None
-        J = None if bends and S is None else J
-        each.append((r.ravel(), J if J is None else J.reshape(-1, N)))
-        bending = bending if S is None else bending + S
-    others = [term for term, (_, J) in zip(terms, each, strict=True) if J is None]
+    each = [_by_formulas(term, model, body, measured, bends) for term in terms]
+    others = [term for term, own in zip(terms, each, strict=True) if own is None]
+    bending = sum((own[2] for own in each if own), start=jnp.zeros((N, N), pose.angles.dtype))
     if others:
         # Those without formulas at one go, and then back in the terms' order.
         derivatives, bare = _Derivatives.of(model, body), body._replace(frames=None)
 
-        def of_body(body: PosedBody) -> Array:
-            return joined_residuals(others, model, body, measured)
+        def of_body(body: PosedBody) -> list[Array]:
+            return [term.residual(model, body, measured).ravel() for term in others]
 
-        def with_slope(body: PosedBody) -> tuple[Array, PosedBody]:
+        def with_slope(body: PosedBody) -> tuple[list[Array], PosedBody]:
             r, pull = jax.vjp(of_body, body)
             return r, pull(jax.lax.stop_gradient(r))[0]
 
@@ -91,10 +87,23 @@ def expand_terms(
         else:
             r, push = jax.linearize(of_body, bare)
             rows = jax.vmap(push)(derivatives.each)
-        left = iter(jnp.split(rows.T, np.cumsum([r.size for r, J in each if J is None])[:-1]))
-        each = [(r, next(left) if J is None else J) for r, J in each]
-    r, J = (jnp.concatenate(parts) for parts in zip(*each, strict=True))
+        left = iter(zip(r, (J.T for J in rows), strict=True))
+        each = [next(left) if own is None else own for own in each]
+    r, J = (jnp.concatenate([own[i] for own in each if own]) for i in (0, 1))
     return r, J, bending
+
+
+def _by_formulas(
+    term: Term, model: Model, body: PosedBody, measured: Measurements, bends: bool
+) -> tuple[Array, Array, Array] | None:
+    """Of a term; None where it has not all formulas that are asked for."""
+    check_measured(term, measured)
+    J, N = term.jacobian(model, body, measured), model.skeleton.costs.size
+    if J is None:
+        return None
+    r = term.residual(model, body, measured)
+    S = term.curvature(model, body, measured, r) if bends else jnp.zeros((N, N), r.dtype)
+    return None if S is None else (r.ravel(), J.reshape(-1, N), S)
 
 
 def linearise_terms(

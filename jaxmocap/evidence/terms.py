@@ -177,6 +177,11 @@ def residual_of(term: Term, model: Model, body: PosedBody, measured: Measurement
     Raises:
         ValueError: something that it needs was not measured.
     """
+    check_measured(term, measured)
+    return term.residual(model, body, measured)
+
+
+def check_measured(term: Term, measured: Measurements) -> None:
+    """Refuse measurements without what a term needs; see ``residual_of``."""
     if missing := [name for name in term.needs if getattr(measured, name) is None]:
         raise ValueError(f"{type(term).__name__} needs measured {missing[0]!r}, which is missing")
-    return term.residual(model, body, measured)
