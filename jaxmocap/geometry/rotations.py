@@ -37,10 +37,10 @@ def rotate(R_a_b: Numbers, vectors_b: Numbers) -> Numbers:
 
 def hat(vectors: Numbers) -> Numbers:
     """Cross-product matrices (..., 3, 3) of (..., 3) vectors: ``hat(a) @ b == cross(a, b)``."""
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    x, y, z = (vectors[..., i : i + 1] for i in range(3))
     xp, o = namespace(x), 0 * x
-    rows = [xp.stack([o, -z, y], -1), xp.stack([z, o, -x], -1), xp.stack([-y, x, o], -1)]
-    return xp.stack(rows, -2)
+    rows = xp.concatenate([o, -z, y, z, o, -x, -y, x, o], -1)
+    return rows.reshape(*vectors.shape, 3)
 
 
 def about_axis(axes: Array, angles: Array) -> Array:
