@@ -19,6 +19,7 @@ from jaxmocap.compilation.arrays import Numbers, namespace
 from jaxmocap.geometry.rotations import (
     about_axis,
     compose,
+    cross,
     exp,
     hinges_from_matrix,
     quaternion_log,
@@ -228,7 +229,7 @@ def bent(hung: Hung, arm: Arms) -> Array:
     """
     upper, fore = arm.elbow - arm.shoulder, arm.wrist - arm.elbow
     local_upper, axis = hung.reaches[0], hung.axes[3]
-    across = jnp.cross(upper, fore)
+    across = cross(upper, fore)
     # As much across as along: the angle between the two.
     elbow = jnp.arctan2(jnp.sqrt(jnp.sum(across**2) + 1e-12), jnp.sum(upper * fore))
     local = _upright(local_upper, axis)
@@ -242,7 +243,7 @@ def _upright(along: Array, across: Array) -> Array:
     x = along / jnp.sqrt(jnp.sum(along**2) + 1e-12)
     y = across - x * jnp.sum(x * across)
     y = y / jnp.sqrt(jnp.sum(y**2) + 1e-12)
-    return jnp.stack([x, y, jnp.cross(x, y)])
+    return jnp.stack([x, y, cross(x, y)])
 
 
 def flesh(arms: Arms) -> Cones:
@@ -320,7 +321,7 @@ def turn_between(arms: Arms, refined: Arms) -> Array:
     a = rotate(R.swapaxes(1, 2), arms.elbow - arms.grip)
     b = rotate(R.swapaxes(1, 2), refined.elbow - refined.grip)
     a, b = (each / jnp.sqrt(jnp.sum(each**2, -1, keepdims=True) + 1e-12) for each in (a, b))
-    half = jnp.concatenate([1 + jnp.sum(a * b, -1, keepdims=True), jnp.cross(a, b)], -1)
+    half = jnp.concatenate([1 + jnp.sum(a * b, -1, keepdims=True), cross(a, b)], -1)
     norm = jnp.sqrt(jnp.sum(half**2, -1, keepdims=True) + 1e-12)
     return quaternion_log(half / norm)
 
@@ -334,7 +335,7 @@ def swivels(arms: Arms, refined: Arms) -> Array:
         return points - jnp.sum(points * axis, -1, keepdims=True) * axis
 
     a, b = across(arms.elbow - arms.shoulder), across(refined.elbow - refined.shoulder)
-    sine = jnp.sum(jnp.cross(a, b) * axis, -1)
+    sine = jnp.sum(cross(a, b) * axis, -1)
     cosine = jnp.sum(a * b, -1)
     still = jnp.abs(sine) + jnp.abs(cosine) < 1e-9
     return jnp.where(still, 0.0, jnp.arctan2(sine, jnp.where(still, 1.0, cosine)))

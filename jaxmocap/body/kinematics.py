@@ -20,6 +20,7 @@ from jaxmocap.geometry.rotations import (
     HIGHEST,
     about_axis,
     compose,
+    cross,
     quaternion_multiply,
     quaternion_to_matrix,
     rotate,
@@ -120,7 +121,7 @@ def jacobian(
     pivots = jnp.concatenate(
         [jnp.broadcast_to(frames.root, (3, 3)), frames.joints_world[np.array(tree.dof_bones)]]
     )
-    turning = jnp.cross(axes[None], points_world[:, None] - pivots[None])
+    turning = cross(axes[None], points_world[:, None] - pivots[None])
     carried = jnp.asarray(tree.carries[ROOT_DOF - 3 :])[:, bones].T[..., None]
     turning = jnp.where(carried, turning, 0.0).swapaxes(1, 2)
     shifting = jnp.broadcast_to(eye, (points_world.shape[0], 3, 3))
@@ -144,7 +145,7 @@ def curvature(
     eye = np.eye(3, dtype=points_world.dtype)
     axes = jnp.concatenate([jnp.zeros_like(eye), eye, frames.axes_world])
     carried = np.asarray(tree.carries)[:, bones].T[..., None]
-    turned = jnp.where(carried, jnp.cross(forces[:, None], axes), 0.0)
+    turned = jnp.where(carried, cross(forces[:, None], axes), 0.0)
     products = jnp.einsum("mic,mcj->ij", turned, J, precision=HIGHEST)
     upper = jnp.triu(products)
     whole = upper + jnp.triu(products, 1).T

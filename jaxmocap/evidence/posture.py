@@ -18,7 +18,7 @@ from jaxmocap.body.skeleton import Skeleton, landmark_rows
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
-from jaxmocap.geometry.rotations import HIGHEST, quaternion_multiply
+from jaxmocap.geometry.rotations import HIGHEST, cross, quaternion_multiply
 from jaxmocap.solvers.robust import shorten_residuals
 
 # Where no marker holds the feet, the markers' pose faces so many times less surely.
@@ -95,7 +95,7 @@ class Pelvis(Term):
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(3,), or (4,) where no marker holds a foot."""
         R, unmarked = body.R_world_pelvis, model.no_foot_is_marked
-        turn = jnp.cross(R[:, 0], measured.facing)[2:]
+        turn = cross(R[:, 0], measured.facing)[2:]
         facing = self.facing * (UNMARKED_FACING if unmarked else 1.0)
         upright = R[:2, 2] - measured.upright
         upright = self._off_upright(body) if unmarked else upright / self.lean
@@ -181,8 +181,8 @@ class EasyPosture(Term):
         pose, last = body.pose, measured.last
         near, turn = self._nearness(model, last), _turn(pose, last.pose)
         eye = np.eye(3, dtype=turn.dtype)
-        turned = near[3:ROOT_DOF, None] * (turn[0] * eye + jnp.cross(eye, turn[1:]).T)
-        lean = jnp.cross(eye, body.R_world_pelvis[:, 2]).T[:2] * self._righting(model)[:, None]
+        turned = near[3:ROOT_DOF, None] * (turn[0] * eye + cross(eye, turn[1:]).T)
+        lean = cross(eye, body.R_world_pelvis[:, 2]).T[:2] * self._righting(model)[:, None]
         _, weights = self._ease(model, last, near[ROOT_DOF:])
         return jax.scipy.linalg.block_diag(
             jnp.diag(near[:3]), jnp.concatenate([turned, lean]), jnp.diag(weights)

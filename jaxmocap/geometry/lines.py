@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxmocap.geometry.cameras import Camera, pixel_rays
+from jaxmocap.geometry.rotations import cross
 
 
 class Lines(NamedTuple):
@@ -21,7 +22,7 @@ class Lines(NamedTuple):
 
 def lines_through(points: Array, directions: Array) -> Lines:
     """Lines through points (..., 3) along unit directions (..., 3)."""
-    return Lines(directions, jnp.cross(points, directions))
+    return Lines(directions, cross(points, directions))
 
 
 def camera_lines(camera: Camera, pixels_xy: Array) -> Lines:
@@ -35,9 +36,9 @@ def incidence(lines: Lines, points: Array) -> Array:
 
     Elsewhere the perpendicular from the line to the point, turned by a quarter about the line.
     """
-    return jnp.cross(points, lines.directions) - lines.moments
+    return cross(points, lines.directions) - lines.moments
 
 
 def perpendiculars(lines: Lines, points: Array) -> Array:
     """From each line to its point (..., 3), at right angles to the line, metres."""
-    return jnp.cross(lines.directions, incidence(lines, points))
+    return cross(lines.directions, incidence(lines, points))

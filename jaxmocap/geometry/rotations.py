@@ -35,6 +35,12 @@ def rotate(R_a_b: Numbers, vectors_b: Numbers) -> Numbers:
     return compose(R_a_b, vectors_b[..., None])[..., 0]
 
 
+def cross(a: Array, b: Array) -> Array:
+    """Cross products (..., 3) of (..., 3) vectors."""
+    (ax, ay, az), (bx, by, bz) = ([v[..., i : i + 1] for i in range(3)] for v in (a, b))
+    return jnp.concatenate([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
+
+
 def hat(vectors: Numbers) -> Numbers:
     """Cross-product matrices (..., 3, 3) of (..., 3) vectors: ``hat(a) @ b == cross(a, b)``."""
     x, y, z = (vectors[..., i : i + 1] for i in range(3))
@@ -87,7 +93,7 @@ def quaternion_multiply(a: Array, b: Array) -> Array:
     """Hamilton product of (..., 4) quaternions, wxyz."""
     aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
     w = aw * bw - jnp.sum(av * bv, -1, keepdims=True)
-    return jnp.concatenate([w, aw * bv + bw * av + jnp.cross(av, bv)], -1)
+    return jnp.concatenate([w, aw * bv + bw * av + cross(av, bv)], -1)
 
 
 def quaternion_to_matrix(quaternions: Array) -> Array:
@@ -134,7 +140,7 @@ def hinges_from_matrix(R: Array, axes: Array) -> Array:
     second angle is in [-pi/2, pi/2]; where it is +-pi/2 (gimbal lock) the third is 0.
     """
     # In the basis of the axes a left-handed triple turns the other way about every axis.
-    handed = jnp.dot(jnp.cross(axes[0], axes[1]), axes[2], precision=HIGHEST)
+    handed = jnp.dot(cross(axes[0], axes[1]), axes[2], precision=HIGHEST)
     M = compose(compose(axes, R), axes.T)
     cosine2 = M[0, 0] ** 2 + M[0, 1] ** 2
     locked = cosine2 < 1e-12

@@ -18,7 +18,7 @@ from jax import Array
 from jaxmocap.geometry import twists
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.lines import Lines, incidence
-from jaxmocap.geometry.rotations import HIGHEST, rotate
+from jaxmocap.geometry.rotations import HIGHEST, cross, rotate
 from jaxmocap.silhouette.points import contour_rays
 from jaxmocap.silhouette.surfaces.rim import Rim
 from jaxmocap.solvers.robust import robust_shares
@@ -73,7 +73,7 @@ def contour_of_rim(
 
     there, both = jnp.roll(x, -1, 1), real & jnp.roll(real, -1, 1)
     near = both & (jnp.linalg.norm(there - x, axis=-1) < LONGEST_LINK * radius)
-    tangents = jnp.cross(lines.directions, across)
+    tangents = cross(lines.directions, across)
     return SpaceContour(x, jnp.where(near[..., None], there, x), tangents, real)
 
 
@@ -88,7 +88,7 @@ def step_towards(
     counted = contour.real.astype(contour.points.dtype)[..., None]
     centre = jnp.sum(counted * contour.points, (0, 1)) / jnp.sum(counted)
     n = rays.lines.directions
-    rays = rays._replace(lines=Lines(n, (rays.lines.moments - jnp.cross(centre, n)) / radius))
+    rays = rays._replace(lines=Lines(n, (rays.lines.moments - cross(centre, n)) / radius))
     points, after = ((part - centre) / radius for part in contour[:2])
     contour = contour._replace(points=points, after=after)
     pairs = [(*nearest_points(rays.lines, contour), rays.lines, rays.real)]
@@ -136,9 +136,9 @@ def linearise_pairs(
     unit = twists.hat(jnp.eye(6, dtype=x.dtype))[:, :3]
     homogeneous = jnp.concatenate([x, jnp.ones_like(x[:, :1])], -1)
     moves = jnp.einsum("jab,nb->nja", unit, homogeneous, precision=HIGHEST)
-    A = jnp.swapaxes(jnp.cross(moves, lines.directions[:, None]), 1, 2)
+    A = jnp.swapaxes(cross(moves, lines.directions[:, None]), 1, 2)
     b = -incidence(lines, x)
-    along = jnp.cross(tangents, lines.directions)
+    along = cross(tangents, lines.directions)
     squared = jnp.maximum(jnp.sum(along**2, -1, keepdims=True), 1e-12)
     less = (1 - along_weight) * along / squared
     b = b - jnp.sum(b * along, -1, keepdims=True) * less

@@ -19,7 +19,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints, carry_by_bones, pose_points
 from jaxmocap.geometry.cameras import Camera, pixel_rays
 from jaxmocap.geometry.lines import Lines, camera_lines, perpendiculars
-from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.geometry.rotations import HIGHEST, cross
 
 
 class PointRays(NamedTuple):
@@ -81,7 +81,7 @@ def linearised_rays(skeleton: Skeleton, frames: Frames, pairs: PointRays) -> tup
     The last S columns are by what drives the points, where anything does.
     """
     real = pairs.weights > 0
-    along = jnp.cross(pairs.lines.directions, pairs.across)
+    along = cross(pairs.lines.directions, pairs.across)
     ways = jnp.stack([pairs.across, pairs.along_weights[:, None] * along], 1)
     ways = jnp.where(real[:, None, None], ways, 0.0)
     lines = Lines(*(jnp.where(real[:, None], part, 0.0) for part in pairs.lines))

@@ -20,7 +20,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.expansion import linearise_term
 from jaxmocap.evidence.posture import effort_shares
 from jaxmocap.evidence.terms import Measurements, Term
-from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
+from jaxmocap.geometry.rotations import HIGHEST, cross, quaternion_to_matrix
 from jaxmocap.hybrid.settings import IKSettings
 from jaxmocap.solvers.limits import step_within
 from jaxmocap.solvers.sdls import (
@@ -54,7 +54,7 @@ def secondary_task(skeleton: Skeleton, frames: Frames, pose: Pose, settings: IKS
     share = effort_shares(skeleton, frames, settings.augmented_body)
     relaxing = -2 * settings.relaxation * share * (pose.angles - skeleton.relaxed)
     up = quaternion_to_matrix(pose.quaternion)[:, 2]
-    lean = jnp.cross(up, jnp.array([0.0, 0.0, 1.0], up.dtype))
+    lean = cross(up, jnp.array([0.0, 0.0, 1.0], up.dtype))
     return jnp.concatenate([jnp.zeros(3, up.dtype), settings.uprightness * lean, relaxing])
 
 

@@ -25,6 +25,7 @@ from jaxmocap.calibration.fitting.camera_plan.expected import (
     with_camera,
 )
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.rotations import cross
 from jaxmocap.smoothing.settings import SmoothingSettings
 
 # Azimuths of the ring, and distances from the person, metres, that the search starts from.
@@ -115,7 +116,7 @@ def camera_at(lens: Camera, frame: Frame, place: CameraPlace) -> Camera:
     level = jnp.cos(pitch)
     forward = jnp.stack([level * jnp.cos(yaw), level * jnp.sin(yaw), jnp.sin(pitch)])
     right = jnp.stack([jnp.sin(yaw), -jnp.cos(yaw), jnp.zeros_like(yaw)])
-    R = jnp.stack([right, jnp.cross(forward, right), forward])
+    R = jnp.stack([right, cross(forward, right), forward])
     T = jnp.eye(4, dtype=R.dtype).at[:3, :3].set(R).at[:3, 3].set(-R @ position)
     focal = jnp.exp(jnp.asarray(place.zoom))
     matrix = lens.matrix * jnp.ones((3, 3)).at[[0, 1], [0, 1]].set(focal)
