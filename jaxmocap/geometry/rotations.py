@@ -35,7 +35,7 @@ def rotate(R_a_b: Numbers, vectors_b: Numbers) -> Numbers:
     return compose(R_a_b, vectors_b[..., None])[..., 0]
 
 
-def cross(a: Array, b: Array) -> Array:
+def cross(a: Array | np.ndarray, b: Array) -> Array:
     """Cross products (..., 3) of (..., 3) vectors."""
     (ax, ay, az), (bx, by, bz) = ([v[..., i : i + 1] for i in range(3)] for v in (a, b))
     return jnp.concatenate([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
