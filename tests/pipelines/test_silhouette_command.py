@@ -204,7 +204,7 @@ def test_markers_are_followed_where_the_body_moves_their_bones(folder, monkeypat
         """Instead of passes."""
 
     def ask(_, __, bundles, *___):
-        raise AskedError([bundle.measured["markers"] for bundle in bundles()])
+        raise AskedError([bundle.measured.markers for bundle in bundles()])
 
     recording = Recording.load(folder / "recording.toml")
     recording, settings = marked(folder), Settings(body="torso.toml")

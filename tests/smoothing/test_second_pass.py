@@ -130,8 +130,8 @@ def usual() -> list[SmoothingProblem]:
 
 def grids(problem: SmoothingProblem) -> list[Grid]:
     """All of its grids."""
-    _, person, forearms, _, legs = problem.views.grids
-    return [person, forearms, legs.person]
+    own = problem.views.grids
+    return [own.person, own.forearms, own.legs.person]
 
 
 def on_grid(share: np.ndarray, region, i: int, cells: int) -> np.ndarray:
@@ -154,10 +154,12 @@ def test_the_grids_show_the_person_and_the_bare_forearms():
     views = usual()[-1].views
     np.testing.assert_array_equal(views.frame, np.arange(0, 2 * FRAMES, 2))
     assert not views.camera.any()
-    upper, person, forearms, _, legs = views.grids
+    own = views.grids
     for region, grid, part in (
-        (upper, person, "person"), (upper, forearms, "forearms"), (*legs, "person"),
-    ):  # fmt: skip
+        (own.region, own.person, "person"),
+        (own.region, own.forearms, "forearms"),
+        (*own.legs, "person"),
+    ):
         cells = grid.probability.shape[-1]
         for i in range(FRAMES):
             truth = on_grid(getattr(painted()[i], part), region, i, cells)
