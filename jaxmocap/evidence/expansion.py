@@ -96,7 +96,7 @@ def expand_terms(
 def _by_formulas(
     term: Term, model: Model, body: PosedBody, measured: Measurements, bends: bool
 ) -> tuple[Array, Array, Array] | None:
-    """Of a term; None where it has not all formulas that are asked for."""
+    """A term's residuals (R,), Jacobian (R, N) and second derivatives (N, N); or no formulas."""
     check_measured(term, measured)
     J, N = term.jacobian(model, body, measured), model.skeleton.costs.size
     if J is None:

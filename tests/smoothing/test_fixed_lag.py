@@ -565,8 +565,8 @@ def test_without_any_image_or_with_black_ones_poses_come_out_all_the_same(smooth
     black = steps([np.full_like(image, 5) for image in images()])
     for own, expected in zip(poses_of(joined(black)), poses_of(joined(out)), strict=True):
         np.testing.assert_array_equal(own, expected)
-    unseen, seen = (joined(each)[-1].deviations[ELBOWS] for each in (black, smoothed))
-    assert (unseen > 1.5 * seen).all()
+    unlit, lit = (joined(each)[-1].deviations[ELBOWS] for each in (black, smoothed))
+    assert (unlit > 1.5 * lit).all()
 
 
 def test_grey_images_will_do():
