@@ -12,6 +12,8 @@ from jaxmocap.body.model_files import proportions_of
 from jaxmocap.body.skeleton import (
     JOINT_CENTRES,
     LANDMARKS,
+    LEAST_HEIGHT_M,
+    MOST_HEIGHT_M,
     NECK_HEAD,
     TRUNK,
     WINTER,
@@ -112,7 +114,8 @@ def _height(
                     f"the person stands along {stands} in the static trial, expected z: state its "
                     "vertical axis (up), or let the person stand upright"
                 )
-            return float(np.clip(upwards[2] / (1 - table["ankle"]), 0.5, 2.5))
+            tall = upwards[2] / (1 - table["ankle"])
+            return float(np.clip(tall, LEAST_HEIGHT_M, MOST_HEIGHT_M))
     ratios = [
         length / table["lengths"][part]
         for (part, _), length in measured.items()
@@ -124,7 +127,9 @@ def _height(
         length = _distance({**landmarks, "pelvis": pelvis}, "pelvis", top)
         if not ratios and length is not None:
             ratios = [length / usual]
-    return float(np.clip(np.median(ratios), 0.5, 2.5)) if ratios else 1.75
+    if not ratios:
+        return 1.75
+    return float(np.clip(np.median(ratios), LEAST_HEIGHT_M, MOST_HEIGHT_M))
 
 
 def _trunk_vectors(landmarks: dict[str, np.ndarray]) -> dict[tuple[str, ...], np.ndarray]:

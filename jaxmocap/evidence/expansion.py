@@ -8,7 +8,6 @@ INPUTS: terms, a Model, a pose, what was measured. OUTPUTS: whitened residuals, 
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -153,8 +152,11 @@ def linearise_term(
         pose: of the person.
         measured: of this moment.
     """
-    bare = partial(residual_of, term, model, measured=measured)
-    shape = jax.eval_shape(lambda: bare(posed_body(model, pose))).shape
+
+    def residual(pose: Pose) -> Array:
+        return residual_of(term, model, posed_body(model, pose), measured)
+
+    shape = jax.eval_shape(residual, pose).shape
     r, J, _ = expand_terms((term,), model, pose, measured, bends=False)
     return r.reshape(shape), J.reshape(*shape, J.shape[-1])
 

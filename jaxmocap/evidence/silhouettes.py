@@ -142,7 +142,7 @@ def project_limbs(
 ) -> tuple[Cones, Discs, Array]:
     """The body's limbs (K), world, and in cells; the visible share (S * S,) of a forearm."""
     flesh = cones(skeleton, frames, skeleton.tree.drawn)
-    outlines = project_flesh(skeleton.tree, camera, flesh, grids.per_metre, None, grids.unmarked)
+    outlines = project_flesh(skeleton.tree, camera, flesh, grids.per_metre, unmarked=grids.unmarked)
     discs = discs_in_region(grids.region, outlines)
     return flesh, discs, _visible(skeleton.tree, camera, flesh, discs, grids.person)
 
@@ -234,7 +234,9 @@ def silhouette_fit(
             own = scale_skeleton(skeleton, shared[:-3])
             body = cones(own, forward(own, pose), bones)
             there = turn_camera(camera, shared[-3:])
-            outlines = project_flesh(own.tree, there, body, grids.per_metre, None, grids.unmarked)
+            outlines = project_flesh(
+                own.tree, there, body, grids.per_metre, unmarked=grids.unmarked
+            )
             return discs_in_region(grids.region, outlines)
 
         by_shared = jax.jacfwd(limbs)(jnp.pad(proportions, (0, 3)))

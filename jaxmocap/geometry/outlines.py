@@ -52,7 +52,7 @@ def outline_pieces(
     """The hulls' sides, left and right of the axis, and their arcs, near and far.
 
     An arc whose end is closed (0 in ``open_ends``; another limb goes on there) counts only as far
-    as the limb is seen end-on, when the arcs are all that is left of the outline.
+    as the limb points at the camera, when the arcs are all that is left of the outline.
 
     Args:
         x: (2, ...) of the discs' centres, near and far.

@@ -107,11 +107,11 @@ def _sections(path: Path) -> dict[str, Any]:
         return read_opencv_yaml(path)
     try:
         tables = read_toml(path)
-    except InputError:
+    except InputError as error:
         if path.suffix.lower() == ".toml" or not path.is_file():
             raise
         others = "jaxmocap convert makes .toml of other systems' calibrations"
-        raise InputError(path, f"not TOML, expected .toml, .yml or .yaml ({others})") from None
+        raise InputError(path, f"{error.problem} ({others})") from None
     return {name: table for name, table in tables.items() if name != METADATA_SECTION}
 
 
