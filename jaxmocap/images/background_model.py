@@ -234,7 +234,7 @@ def _exposure(
         return None, 0.0
     some = frame[exposure_sample(frame)].reshape(-1, 3), few.colour.reshape(-1, 3)
     # Channel by channel: long rows are several times as fast as rows of three.
-    pixels, expected = (each[sure].T.astype(np.float32, order="C") for each in some)
+    pixels, expected = (np.take(each.T, sure, 1).astype(np.float32) for each in some)
     gains = gain(pixels, expected)
     if gains is None:
         return None, 0.0

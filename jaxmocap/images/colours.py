@@ -17,6 +17,7 @@ from jaxmocap.images.background_model import spread
 # Levels of each channel in a histogram, and the blur between neighbouring bins.
 LEVELS, BIN_BLUR = 16, 0.7
 BINS = LEVELS**3
+BLUR = cv2.GaussianBlur(np.eye(LEVELS), (1, 5), BIN_BLUR, borderType=cv2.BORDER_REFLECT)
 # Every colour has this share of the even distribution: what was never observed is not impossible.
 EVEN_SHARE = 1e-4
 
@@ -38,9 +39,8 @@ class RunningColours:
     # (BINS,) of everything else.
     rest: np.ndarray = field(default_factory=lambda: np.zeros(BINS), repr=False)
 
-    def update(self, frame: np.ndarray, core: np.ndarray, body: np.ndarray) -> None:
-        """Count a frame (h, w, 3) uint8 inside the core and outside the body (h, w) bool."""
-        bins = colour_bins(frame)
+    def update(self, bins: np.ndarray, core: np.ndarray, body: np.ndarray) -> None:
+        """Count a frame's ``colour_bins`` inside the core and outside the body, each (h, w)."""
         self.body += np.bincount(bins[core], minlength=BINS)
         self.rest += np.bincount(bins[~body], minlength=BINS)
 
@@ -66,7 +66,7 @@ def learn_colours(frames: np.ndarray, cores: np.ndarray, bodies: np.ndarray) -> 
     """
     counted = RunningColours()
     for i in spread(len(frames)):
-        counted.update(frames[i], cores[i], bodies[i])
+        counted.update(colour_bins(frames[i]), cores[i], bodies[i])
     return counted.colours()
 
 
@@ -75,8 +75,7 @@ def _density(counts: np.ndarray) -> np.ndarray:
     cube = counts
     for _ in range(3):
         # Blurs the first of the three channels and makes it the last.
-        plane = np.ascontiguousarray(cube.reshape(LEVELS, -1).T)
-        cube = cv2.GaussianBlur(plane, (5, 1), BIN_BLUR, borderType=cv2.BORDER_REFLECT)
+        cube = (BLUR @ cube.reshape(LEVELS, -1)).T
     even = np.full(BINS, 1 / BINS)
     share = cube.ravel() / cube.sum() if counts.any() else even
     return (((1 - EVEN_SHARE) * share + EVEN_SHARE * even) * (LEVELS / 256) ** 3).astype(np.float32)

@@ -310,7 +310,7 @@ def test_a_running_background_tells_the_person_like_a_learned_one():
     running, counted, odds = RunningBackground(), RunningColours(), []
     for frame, inner, body in zip(frames, core(shown), reach, strict=True):
         running.update(frame, body)
-        counted.update(frame, inner, body)
+        counted.update(colour_bins(frame), inner, body)
         odds.append(log_odds(frame, running.background(), counted.colours()))
     body, rest = shares(np.stack(odds[FRAMES:]), shown[FRAMES:])
     assert body > 0.98

@@ -130,21 +130,23 @@ class Drawing:
     def mask(
         self,
         frame: int,
-        share: float,
-        more_px: float = 0.0,
+        share: float | np.ndarray,
+        more_px: float | np.ndarray = 0.0,
         only: Sequence[str] | None = None,
         without: Sequence[str] = (),
         part: tuple[float, float] = (0.0, 1.0),
     ) -> np.ndarray:
         """Limbs (h, w) bool with their radii scaled and enlarged, or a part of their length.
 
-        ``only`` and ``without`` name groups of bones or their parts.
+        ``share`` and ``more_px`` are alike for all limbs or (K, 1). ``only`` and ``without`` name
+        groups of bones or their parts.
         """
         kept = _bones_but(self.tree, None if only is None else tuple(only), tuple(without))
-        near, far, radii = (each[frame][kept] for each in self.discs)
+        near, far, radii = (each[frame] for each in self.discs)
         ends = [near + at * (far - near) for at in part]
         widths = radii[:, :1] + np.array(part) * (radii[:, 1:] - radii[:, :1])
-        return draw_hulls(Discs(ends[0], ends[1], widths * share + more_px), self.size)
+        limbs = Discs(ends[0], ends[1], widths * share + more_px)
+        return draw_hulls(Discs._make(each[kept] for each in limbs), self.size)
 
     def image_per_metre(self, frame: int, dtype: np.dtype) -> np.ndarray:
         """() pixels of a metre at the person, of the full image."""
@@ -156,16 +158,18 @@ class Drawing:
 
     def wherever(self, frame: int, feet_astray: bool) -> np.ndarray:
         """Where (h, w) the person may be; ``feet_astray`` where no marker holds the feet."""
-        metre = float(self.per_metre[frame])
-        mask = self.mask(frame, WHEREVER, POSE_ERROR_M * metre)
-        for part, metres in ASTRAY_M.items() if feet_astray else ():
-            mask |= self.mask(frame, WHEREVER, metres * metre, only=(part,))
-        return mask
+        metres = np.full((len(self.tree.bones), 1), POSE_ERROR_M)
+        for part, astray in ASTRAY_M.items() if feet_astray else ():
+            metres[_bones_but(self.tree, (part,), ())] = astray
+        return self.mask(frame, WHEREVER, metres * float(self.per_metre[frame]))
 
     def unlike(self, frame: int) -> np.ndarray:
         """Where (h, w) the person is not like what is drawn."""
-        shoes = self.mask(frame, 1.0, SHOE_M * float(self.per_metre[frame]), only=("foot",))
-        return self.mask(frame, GROWN, only=("head", "hip")) | shoes
+        share, metres = np.full((2, len(self.tree.bones), 1), [[[GROWN]], [[0.0]]])
+        feet = _bones_but(self.tree, ("foot",), ())
+        share[feet], metres[feet] = 1.0, SHOE_M
+        more_px = metres * float(self.per_metre[frame])
+        return self.mask(frame, share, more_px, only=("head", "hip", "foot"))
 
 
 @lru_cache(maxsize=64)

@@ -37,7 +37,7 @@ from jaxmocap.evidence.silhouettes import FOREARMS, LegGrid, SilhouetteGrids
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.images.background_model import RunningBackground
-from jaxmocap.images.colours import RunningColours
+from jaxmocap.images.colours import RunningColours, colour_bins
 from jaxmocap.images.foreground import SURE_ODDS, shrink
 from jaxmocap.images.regions import Region, region_of_side
 from jaxmocap.images.silhouette_grid import Grid, blur_grid
@@ -201,8 +201,9 @@ class RunningAppearance:
             core, likely = core & (odds >= 0), odds > UNLIKELY_ODDS
             arms, others = arms & likely, others & likely
         self.background.update(image, hidden)
-        self.person.update(image, core, body)
-        self.forearms.update(image, arms, ~others)
+        bins = colour_bins(image)
+        self.person.update(bins, core, body)
+        self.forearms.update(bins, arms, ~others)
 
 
 def _to_colour(image: np.ndarray) -> np.ndarray:
