@@ -25,7 +25,7 @@ from jaxmocap.body.surfaces.cones import cones, project_cones
 from jaxmocap.body.tree import Tree
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import Program
-from jaxmocap.evidence.appearance.hulls import draw_hulls, part_odds
+from jaxmocap.evidence.appearance.hulls import draw_hulls, part_odds, share_of_person
 from jaxmocap.evidence.silhouettes import FOREARMS, LegGrid, SilhouetteGrids
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, on_host, pixels_per_metre, project
 from jaxmocap.geometry.outlines import Discs
@@ -57,6 +57,9 @@ POSES_A_CALL = 64
 MARGIN = 0.12
 # Around the legs.
 LEG_MARGIN = 0.15
+# A camera shows nobody where the person must be if less than this share of its evidence there
+# speaks for the person: it films another room, or at another time, or stands elsewhere.
+LEAST_SHARE = 0.5
 # Share of a limb's thickness that surely is the limb.
 CORE = 0.7
 # Multiple of its thickness within which it surely is,
@@ -155,6 +158,10 @@ class Drawing:
     def core(self, frame: int, without: Sequence[str] = ()) -> np.ndarray:
         """Where (h, w) the person surely is."""
         return self.mask(frame, CORE, without=("foot", *without))
+
+    def trunk_and_arms(self, frame: int) -> np.ndarray:
+        """Where (h, w) these surely are; a desk hides legs."""
+        return self.core(frame, without=("leg", "hip", "head"))
 
     def wherever(self, frame: int, feet_astray: bool) -> np.ndarray:
         """Where (h, w) the person may be; ``feet_astray`` where no marker holds the feet."""
@@ -258,14 +265,23 @@ def silhouette_grids(
         learned: of the person; None where nothing was learned.
         drawing: the body in the frames.
         regions: where the grids lie, in pixels of the full images.
+
+    Returns:
+        Of weight 0 where there is no image, and everywhere where most frames show nobody.
     """
-    grids = [
-        _no_grids(regions.of(i), drawing, i)
-        if image is None or learned is None
-        else body_grids(image, learned, drawing, i, regions.of(i))[1]
-        for i, image in enumerate(images)
-    ]
-    return jax.tree.map(lambda *parts: np.stack(parts), *grids)
+    grids, shares = [], []
+    for i, image in enumerate(images):
+        if image is None or learned is None:
+            grids.append(_no_grids(regions.of(i), drawing, i))
+            continue
+        odds, own = body_grids(image, learned, drawing, i, regions.of(i))
+        grids.append(own)
+        shares.append(share_of_person(odds, drawing.trunk_and_arms(i)))
+    stacked: SilhouetteGrids = jax.tree.map(lambda *parts: np.stack(parts), *grids)
+    counted = [share for share in shares if np.isfinite(share)]
+    if counted and np.median(counted) < LEAST_SHARE:
+        return stacked.each_grid(lambda grid: grid._replace(weight=0 * grid.weight))
+    return stacked
 
 
 def _no_grids(regions: Regions, drawing: Drawing, frame: int) -> SilhouetteGrids:

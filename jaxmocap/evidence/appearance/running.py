@@ -9,6 +9,7 @@ person has moved.
 INPUTS: frames, poses. OUTPUTS: a SilhouetteGrids of each frame.
 """
 
+from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,10 +21,12 @@ from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.compilation.arrays import pack_leaves, unpack_leaves
 from jaxmocap.compilation.programs import program
+from jaxmocap.evidence.appearance.hulls import share_of_person
 from jaxmocap.evidence.appearance.learned import (
     BARE,
     CELLS,
     CORE,
+    LEAST_SHARE,
     LEG_MARGIN,
     MARGIN,
     AppearanceModel,
@@ -50,6 +53,8 @@ UPPER_CELLS, LOWER_CELLS = 48, 24
 FIRST_FRAMES = 60
 # and of later ones one in so many.
 LATER_EVERY = 3
+# Learned frames whose share of the person counts (``share_of_person``).
+SHARE_MEMORY = 30
 # A part's pixels must at least not look like the background.
 UNLIKELY_ODDS = -0.5
 # A region's scale stays as it is while the person fills this much of it, so that cells do not swim.
@@ -137,6 +142,7 @@ class RunningAppearance:
         self._lower = _Window(legs, LOWER_CELLS, LEG_MARGIN)
         self._offered, self._nothing_learned = 0, True
         self._learned: AppearanceModel | None = None
+        self._shares = deque[float](maxlen=SHARE_MEMORY)
 
     def measure(self, image: np.ndarray, pose: Pose, softness: float) -> MeasuredFrame:
         """Look at a frame (H, W[, 3]) uint8 in which the body is expected in a pose.
@@ -153,6 +159,8 @@ class RunningAppearance:
         cells = UPPER_CELLS, LOWER_CELLS
         odds, grids = body_grids(small, learned, drawing, 0, regions, cells)
         soft = grids.each_grid(lambda grid: _soft(grid, softness))
+        if len(self._shares) == SHARE_MEMORY and np.median(self._shares) < LEAST_SHARE:
+            soft = soft.each_grid(lambda grid: grid._replace(weight=0 * grid.weight))
         return MeasuredFrame(small, odds, learned.background.certainty > 0.5, soft)
 
     def learn(self, frame: MeasuredFrame, size: tuple[int, int], pose: Pose) -> None:
@@ -198,6 +206,9 @@ class RunningAppearance:
         if odds is not None and is_learned is not None:
             # What looks like the background learned there is background, body or not.
             hidden = core | (body & ~(is_learned & (odds <= -SURE_ODDS)))
+            share = share_of_person(odds, drawing.trunk_and_arms(0))
+            if np.isfinite(share):
+                self._shares.append(share)
             core, likely = core & (odds >= 0), odds > UNLIKELY_ODDS
             arms, others = arms & likely, others & likely
         self.background.update(image, hidden)

@@ -120,8 +120,8 @@ class WindowEvent:
 
     @property
     def unrecognised(self) -> tuple[int, ...]:
-        """Cameras with a new frame of which no pixel speaks for the person, or against."""
-        return tuple(camera for camera, frame, _ in self.frames if not frame.odds.any())
+        """Cameras with a new frame of which nothing counts, for the person or against."""
+        return tuple(camera for camera, frame, _ in self.frames if not frame.grids.recognised)
 
 
 def new_events(
