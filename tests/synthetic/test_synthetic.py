@@ -24,7 +24,7 @@ from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.splines import Spline
 from jaxmocap.synthetic.people.clothed_person import MARKERS, clothed_actor
-from jaxmocap.synthetic.people.figure import PostureChannels
+from jaxmocap.synthetic.people.figure import Posture
 from jaxmocap.synthetic.renderer import Scene, render_frames
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
@@ -95,7 +95,7 @@ def test_limbs_differ_from_the_tables_by_up_to_three_percent(performance):
 
 def swivels_deg(performance, times: np.ndarray) -> np.ndarray:
     """(T, 2) of the left and the right elbow."""
-    channels = PostureChannels.split(performance.curves(times))
+    channels = Posture.split(performance.curves(times))
     return np.rad2deg(np.stack([channels.swivel_l, channels.swivel_r], -1))
 
 
