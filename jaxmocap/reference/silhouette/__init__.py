@@ -1,4 +1,4 @@
 """The second paper's equations in NumPy.
 
-Begin with ``pose``.
+Begin with ``level_set``.
 """
