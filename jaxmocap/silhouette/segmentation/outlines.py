@@ -60,8 +60,7 @@ def find_outlines(
     phi = np.stack(
         [keep_attached(*each) for each in zip(np.asarray(segmentation.phi), start, strict=True)]
     )
-    if settings.sharpen:
-        phi = _sharpen_contours(images, backgrounds, phi, views)
+    phi = _sharpen_contours(images, backgrounds, phi, views)
     # Without an image there is only the prediction.
     phi[[image is None for image in images]] = -1
     segmentation = segmentation._replace(phi=phi)
