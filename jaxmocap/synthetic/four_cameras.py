@@ -13,7 +13,6 @@ the frames' times, world, metres, Z up; ``truth_angles.npz`` with elbows and kne
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -25,6 +24,8 @@ from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera, on_host, project
 from jaxmocap.synthetic.drawing_camera import look_around
+from jaxmocap.synthetic.movements.exerciser import Exerciser
+from jaxmocap.synthetic.people.clothed_person import Actor
 from jaxmocap.synthetic.recording import VIDEO_RATE, write_video
 from jaxmocap.synthetic.renderer import (
     Mover,
@@ -53,12 +54,8 @@ IMAGE_SHARE = 0.94
 SAMPLING_S = 0.1
 
 
-class Performer(Mover, Protocol):
-    """Someone who moves, with true joints."""
-
-    def landmarks(self, times: np.ndarray) -> dict[str, np.ndarray]:
-        """Landmark name -> (T, 3), world, metres."""
-        ...
+# Someone who moves, with true joints.
+Performer = Actor | Exerciser
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from jaxmocap.images.canvases import (
     silhouette_distance,
 )
 from jaxmocap.images.regions import Region
-from jaxmocap.reference.silhouette import level_set as reference
+from jaxmocap.reference import level_set as reference
 from jaxmocap.silhouette.segmentation import densities
 from jaxmocap.silhouette.segmentation.background_models import background_of_picture
 from jaxmocap.silhouette.segmentation.contour import contours
