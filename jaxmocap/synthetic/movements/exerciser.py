@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.synthetic.movements.splines import Channels, KeyStance, Spline
 from jaxmocap.synthetic.people.figure import basis, middle_joint, unit
 from jaxmocap.synthetic.people.rigged_mesh import RiggedMesh, rotation_between, rotation_onto
-from jaxmocap.synthetic.people.shoulder_girdle import Girdle
+from jaxmocap.synthetic.people.shoulder_girdle import girdle_turn
 
 # Joint -> how far below it the skin touches the floor, metres.
 SKIN_DEPTHS_M = {
@@ -39,8 +39,8 @@ class Exerciser(RiggedMesh):
     curves: Spline  # channels of ``KeyStance`` over time
     # (2, 3) where left and right wrist are planted, world, metres; None: nowhere.
     hands: np.ndarray | None = None
-    # How far the shoulders go with raised arms; None: they stay on the chest.
-    girdle: Girdle | None = None
+    # Whether the shoulders go with raised arms, or stay on the chest.
+    girdle: bool = False
 
     def rig(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Turns (T, J, 3, 3) from rest, and positions (T, J, 3), of the joints."""
@@ -91,9 +91,9 @@ class Exerciser(RiggedMesh):
         straight, hinge = np.array([0.0, 0.0, -1.0]), np.array([0.0, -1.0, 0.0])
         lower = Rotation.from_euler("Y", -elbow, degrees=True).as_matrix() @ straight
         along = self._arm_along(side, R @ straight, np.einsum("tij,tj->ti", R, lower), R @ hinge)
-        if self.girdle is None:
+        if not self.girdle:
             return along
-        carried = self.girdle.turn(_ball(upper, out) @ straight, out)
+        carried = girdle_turn(_ball(upper, out) @ straight, out)
         return along | {side + "Shoulder": chest @ R_FORWARD_REST.T @ carried @ R_FORWARD_REST}
 
     def _arm_along(
