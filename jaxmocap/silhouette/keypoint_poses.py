@@ -29,7 +29,7 @@ from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.balance import Balance
-from jaxmocap.evidence.expansion import linearise_terms
+from jaxmocap.evidence.expansion import expand_terms
 from jaxmocap.evidence.ground import FeetOnFloor
 from jaxmocap.evidence.keypoints import EstimatedDepths, KeyPoints, SightLines
 from jaxmocap.evidence.limits import JointLimits
@@ -283,13 +283,12 @@ def descend(
     terms: tuple[Term, ...], model: Model, measured: Measurements, start: Pose, steps: Any
 ) -> Pose:
     """Where a damped Gauss-Newton descent within the limits ends."""
-    none = jnp.zeros(0, start.angles.dtype)
     size = ROOT_DOF + start.angles.size
     low, high = model.skeleton.limits[:, 0], model.skeleton.limits[:, 1]
 
     def step(_: int, now: tuple) -> tuple:
         pose, damping = now
-        r, J = linearise_terms(terms, model, none, pose, measured)[:2]
+        r, J = expand_terms(terms, model, pose, measured, bends=False)[:2]
         cost = jnp.sum(r**2) / 2
         H = jnp.matmul(J.T, J, precision=HIGHEST) + damping * jnp.eye(size, dtype=r.dtype)
         move = -jnp.linalg.solve(H, jnp.matmul(r, J, precision=HIGHEST))
