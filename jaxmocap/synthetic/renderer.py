@@ -108,17 +108,7 @@ def exposure(scene: Scene, time: float) -> np.ndarray:
         return image
     order, colours = _shade_faces(scene.mover.mesh, camera, middle)
     faces = scene.mover.mesh.faces[order]
-    corners = np.ascontiguousarray(to_fixed(pixels - box[0])[:, faces])
-    (left, top), (right, bottom) = box
-    part = np.ascontiguousarray(image[top:bottom, left:right])
-    empty = cv2.resize(
-        part, None, fx=OVERSAMPLING, fy=OVERSAMPLING, interpolation=cv2.INTER_NEAREST
-    )
-    total = np.zeros(part.shape, np.float32)
-    for quads in corners:
-        drawn = _paint_quads(empty.copy(), quads, colours)
-        total += cv2.resize(drawn, part.shape[1::-1], interpolation=cv2.INTER_AREA)
-    image[top:bottom, left:right] = np.rint(total / len(corners)).astype(np.uint8)
+    _draw_quads(image, box, to_fixed(pixels - box[0])[:, faces], colours)
     return image
 
 
@@ -126,18 +116,14 @@ def silhouette(mesh: QuadMesh, camera: Camera, vertices: np.ndarray) -> np.ndarr
     """Pixels (H, W) bool of which at least half shows the mesh, its vertices at (V, 3)."""
     camera, size = on_host(camera), image_size(camera)
     pixels = np.asarray(project(camera, vertices))
-    mask = np.zeros(size[::-1], bool)
+    mask = np.zeros(size[::-1], np.uint8)
     box = _box(pixels[None], size)
     if box is None:
-        return mask
+        return mask > 0
     order, _ = _shade_faces(mesh, camera, vertices)
-    corners = np.ascontiguousarray(to_fixed(pixels - box[0])[mesh.faces[order]])
-    (left, top), (right, bottom) = box
-    canvas = np.zeros(((bottom - top) * OVERSAMPLING, (right - left) * OVERSAMPLING), np.uint8)
-    drawn = _paint_quads(canvas, corners, [(255.0,)] * len(corners))
-    small = cv2.resize(drawn, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
-    mask[top:bottom, left:right] = small >= 128
-    return mask
+    quads = to_fixed(pixels - box[0])[None, mesh.faces[order]]
+    _draw_quads(mask, box, quads, [(255.0,)] * len(order))
+    return mask >= 128
 
 
 def _blur_pixels(pixels: np.ndarray) -> np.ndarray:
@@ -149,12 +135,25 @@ def _blur_pixels(pixels: np.ndarray) -> np.ndarray:
     return middle + np.abs(shares) * np.where(shares < 0, start - middle, end - middle)
 
 
-def _paint_quads(canvas: np.ndarray, quads: np.ndarray, colours: list[tuple]) -> np.ndarray:
-    """Quadrilaterals (N, 4, 2), fixed-point, painted one over the other."""
-    fill = cv2.fillConvexPoly
-    for quad, colour in zip(quads, colours, strict=True):
-        fill(canvas, quad, colour, cv2.LINE_8, FRACTION_BITS)
-    return canvas
+def _draw_quads(
+    image: np.ndarray, box: np.ndarray, instants: np.ndarray, colours: list[tuple]
+) -> None:
+    """Draw quadrilaterals (T, N, 4, 2), fixed-point from a box' corner, the mean of T instants.
+
+    Within the box, one over the other.
+    """
+    (left, top), (right, bottom) = box
+    part = np.ascontiguousarray(image[top:bottom, left:right])
+    empty = cv2.resize(
+        part, None, fx=OVERSAMPLING, fy=OVERSAMPLING, interpolation=cv2.INTER_NEAREST
+    )
+    total, fill = np.zeros(part.shape, np.float32), cv2.fillConvexPoly
+    for quads in np.ascontiguousarray(instants):
+        drawn = empty.copy()
+        for quad, colour in zip(quads, colours, strict=True):
+            fill(drawn, quad, colour, cv2.LINE_8, FRACTION_BITS)
+        total += cv2.resize(drawn, part.shape[1::-1], interpolation=cv2.INTER_AREA)
+    image[top:bottom, left:right] = np.rint(total / len(instants)).astype(np.uint8)
 
 
 def _box(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
