@@ -284,7 +284,6 @@ def descend(
 ) -> Pose:
     """Where a damped Gauss-Newton descent within the limits ends."""
     size = ROOT_DOF + start.angles.size
-    low, high = model.skeleton.limits[:, 0], model.skeleton.limits[:, 1]
 
     def step(_: int, now: tuple) -> tuple:
         pose, damping = now
@@ -294,7 +293,7 @@ def descend(
         move = -jnp.linalg.solve(H, jnp.matmul(r, J, precision=HIGHEST))
         move = move * jnp.minimum(1.0, LARGEST_STEP / jnp.maximum(jnp.max(jnp.abs(move)), 1e-9))
         there = retract(pose, move)
-        there = there._replace(angles=jnp.clip(there.angles, low, high))
+        there = there._replace(angles=jnp.clip(there.angles, *model.skeleton.limits.T))
         after = jnp.sum(residuals(terms, model, there, measured) ** 2) / 2
         lower = after < cost
         damping = damping * jnp.where(lower, EASED, RAISED)
