@@ -169,7 +169,7 @@ def covered(results: list[Result]) -> IntervalCoverage | None:
     pooled = pool(results)
     if pooled is None:
         return None
-    return interval_coverage(np.zeros(pooled.offsets.shape), pooled.offsets, pooled.deviations)
+    return interval_coverage(pooled.offsets, pooled.deviations)
 
 
 def pool(results: list[Result]) -> Sureness | None:

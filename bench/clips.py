@@ -26,7 +26,6 @@ from jaxmocap.synthetic.movements.motions import MOTIONS, Performance
 from jaxmocap.synthetic.movements.splines import KeyStance
 from jaxmocap.synthetic.people.figure import unit
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
-from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 from jaxmocap.synthetic.photographs import rest_height
 from jaxmocap.synthetic.recording import write_performance, write_table_tennis, write_video
 
@@ -123,7 +122,7 @@ def exercises(
     people: Sequence[str],
     seconds: float,
     keep: Path,
-    girdle: Girdle | None = None,
+    girdle: bool = False,
 ) -> list[Clip]:
     """Rigged meshes at exercises, seen by four cameras, rendered where ``keep`` has them not yet.
 
@@ -134,7 +133,7 @@ def exercises(
         people: of the file.
         seconds: of each recording.
         keep: holds a folder for each, such as ``push_ups_000_man_1.748m_3s``.
-        girdle: how far shoulders go with raised arms; without it they stay on the chest.
+        girdle: whether shoulders go with raised arms, or stay on the chest.
     """
     clips = []
     for kind, who, seed in product(names, people, seeds):

@@ -105,7 +105,7 @@ def row_of(errors: Errors) -> np.ndarray:
     for kinds in (*((kind,) for kind in KINDS), KINDS):
         chosen = [name.split("_")[0] in kinds for name in errors.joints]
         offsets, stated = errors.offsets[:, chosen].ravel(), deviations[:, chosen].ravel()
-        held = interval_coverage(np.zeros_like(offsets), offsets, stated)
+        held = interval_coverage(offsets, stated)
         found.append([100 * float(held.share), 1 / float(held.ratio)])
     return np.array(found).T
 

@@ -89,7 +89,7 @@ def ours(
     yield Metric(f"{name}, about the hips", off[1], "cm")
     assert motion.report is not None
     deviations = np.asarray(motion.report.landmarks_std)[:, landmark_rows(NUMBERS)]
-    held = interval_coverage(truth, found, deviations)
+    held = interval_coverage(found - truth, deviations)
     share = np.average(held.share, weights=held.samples)
     yield Metric(f"{name}, 90 % intervals hold", 100 * float(share), "%", "higher")
     lost = [any(s.startswith(LOST) for s in each) for each in motion.report.statuses]

@@ -56,7 +56,7 @@ def measure(recording: Path, habits: Habits | None = None, mode: Mode = "own") -
     assert motion.report is not None
     # Samples of both are the same.
     stated = motion.report.landmarks_std[:, landmark_rows(PAIRS)]
-    shares = interval_coverage(np.zeros_like(stated), errors.offsets, stated).share.mean(-1)
+    shares = interval_coverage(errors.offsets, stated).share.mean(-1)
     share_of = dict(zip(PAIRS, shares, strict=True))
     held = [np.mean([share_of[name] for name in PAIRS if name.startswith(j)]) for j in JOINTS]
     elbows = [name for name in PAIRS if "elbow" in name]

@@ -56,12 +56,11 @@ from jaxmocap.silhouette.surfaces.morph import driver_values, moved_points
 from jaxmocap.silhouette.surfaces.swelling import grid_normals, morph_around, patch_coordinates
 from jaxmocap.synthetic.movements.exercises import EXERCISES, exercise
 from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig
-from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 from jaxmocap.synthetic.photographs import rest_height, write_photographs
 
 PEOPLE, EXERCISE = "slim_woman,broad_man", "arm_raises"
 RAISERS, RAISED_ARMS = "woman,broad_man,tall_man,slim_woman", "overhead"
-GIRDLES = {"girdles that go along": Girdle(), "girdles that stay": None}
+GIRDLES = {"girdles that go along": True, "girdles that stay": False}
 MORPHINGS = {"off": Morphing(), "joints": Morphing(shoulders().followers), "and skin": shoulders()}
 # What is compared: its name with its unit, and how it is taken off a result.
 Figures = Mapping[str, Callable[[Result], float]]
@@ -171,7 +170,7 @@ def offsets(nodes: np.ndarray, normals: np.ndarray, corners: np.ndarray) -> np.n
 
 def skin_errors(people: Path, who: str, seed: int) -> tuple[float, float]:
     """Root mean square with raised arms, without and with what swells, metres."""
-    performer = exercise(load_rig(people, who, seed), "overhead", SECONDS, seed, Girdle())
+    performer = exercise(load_rig(people, who, seed), "overhead", SECONDS, seed, True)
     times = np.linspace(0, SECONDS, FRAMES)
     vertices, landmarks = performer.vertices(times), performer.landmarks(times)
     standing = {name: path[:1] for name, path in landmarks.items()}

@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 
 HUMAN = "human.toml"
-_PROPORTIONS = "proportions.toml"
+PROPORTIONS = "proportions.toml"
 # Joints that a full set of markers determines beyond those of ``HUMAN``.
 MARKED = "markers.toml"
 
@@ -35,7 +35,7 @@ def read_model(name: str | Path) -> ModelFile:
     Raises:
         FileNotFoundError: no such file in ``body/data``, nor at that path.
     """
-    data = _data(name)
+    data = data_of(name)
     own = data.get("bone", [])
     if "bones_of" not in data:
         return ModelFile(own, joint_rows(name), data["root"])
@@ -49,21 +49,11 @@ def joint_rows(name: str | Path) -> list[dict]:
 
     First those that it takes from other files, all or some, then its own.
     """
-    data, taken = _data(name), []
+    data, taken = data_of(name), []
     for source in data.get("joints_of", []):
         rows = {row["name"]: row for row in joint_rows(_beside(name, source["file"]))}
         taken += [rows[joint] for joint in source.get("names", rows)]
     return taken + data.get("joint", [])
-
-
-def landmark_rows_of(name: str | Path) -> list[dict]:
-    """The landmarks of a body's file."""
-    return _data(name)["landmark"]
-
-
-def surface_rows_of(name: str | Path) -> list[dict]:
-    """The patches of the surface that a body has, and how far up; none where it has them all."""
-    return _data(name).get("surface", [])
 
 
 @cache
@@ -73,21 +63,11 @@ def proportions_of(name: str) -> dict:
     Raises:
         KeyError: no such table; the message lists them.
     """
-    data = _data(_PROPORTIONS)
+    data = data_of(PROPORTIONS)
     names = [key for key in data if "lengths" in data[key]]
     if name not in names:
         raise KeyError(f"found {name!r}, expected one of {', '.join(names)}")
     return data[name]
-
-
-def mass_fractions() -> dict[str, float]:
-    """Part -> its share of the body's mass."""
-    return _data(_PROPORTIONS)["masses"]
-
-
-def habits_of(name: str) -> dict:
-    """What people do, by the name of a file in ``body/data``."""
-    return _data(name)
 
 
 @cache
@@ -98,7 +78,7 @@ def bodies() -> tuple[str, ...]:
         for file in resources.files("jaxmocap.body").joinpath("data").iterdir()
         if file.name.endswith(".toml")
     )
-    return tuple(name for name in names if {"bone", "bones_of"} & set(_data(name)))
+    return tuple(name for name in names if {"bone", "bones_of"} & set(data_of(name)))
 
 
 @cache
@@ -114,9 +94,8 @@ def _beside(name: str | Path, other: str) -> str | Path:
     return there if isinstance(name, Path) and there.exists() else other
 
 
-def _data(name: str | Path) -> dict:
-    """What a file holds."""
-    if isinstance(name, Path):
-        return tomllib.loads(name.read_text(encoding="utf-8"))
-    text = resources.files("jaxmocap.body").joinpath("data", name).read_text(encoding="utf-8")
-    return tomllib.loads(text)
+def data_of(name: str | Path) -> dict:
+    """All that a file in ``body/data``, or at a path, holds: tables and rows by their names."""
+    here = resources.files("jaxmocap.body").joinpath("data")
+    file = name if isinstance(name, Path) else here.joinpath(name)
+    return tomllib.loads(file.read_text(encoding="utf-8"))

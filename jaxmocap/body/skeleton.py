@@ -17,16 +17,16 @@ from jax import Array
 
 from jaxmocap.body.model_files import (
     HUMAN,
+    PROPORTIONS,
+    data_of,
     joint_rows,
-    landmark_rows_of,
-    mass_fractions,
     proportions_of,
     read_model,
 )
 from jaxmocap.body.tree import ROOT_DOF, Segment, Tree, with_dofs
 from jaxmocap.compilation.arrays import on_device
 
-_LANDMARKS = landmark_rows_of(HUMAN)
+_LANDMARKS = data_of(HUMAN)["landmark"]
 # Landmark -> bone and fraction of its length from its joint.
 LANDMARK_PLACES: dict[str, tuple[str, float]] = {
     row["name"]: (row["bone"], float(row["at"])) for row in _LANDMARKS
@@ -289,7 +289,7 @@ def scale_to_height(
         expected = f"expected metres between {LEAST_HEIGHT_M:g} and {MOST_HEIGHT_M:g}"
         raise ValueError(f"height = {height}: {expected}")
     kilograms = MEAN_BODY_MASS_INDEX * height**2 if mass is None else mass
-    masses = _fractions(skeleton, mass_fractions(), _HEAVY_TOGETHER, skeleton.masses)
+    masses = _fractions(skeleton, data_of(PROPORTIONS)["masses"], _HEAVY_TOGETHER, skeleton.masses)
     # The table's masses are all of it: what it does not have takes its share from the others.
     masses = masses * kilograms / (masses.sum() if masses.sum() > 1.001 else 1.0)
     # His masses are of his segments.

@@ -7,67 +7,48 @@ OUTPUTS: Errors: distances per joint and matched sample, their statistics, a dic
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.evaluation.series import finite_mean, high_pass, match, second_difference
 from jaxmocap.formats.files.errors import InputError, comma_list
 from jaxmocap.formats.motion_npz import load_motion
+from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP, to_world
 from jaxmocap.formats.time_series.markers import default_up, read_markers
 from jaxmocap.formats.time_series.resampling import interpolation_at, lerp
 from jaxmocap.formats.time_series.tables import MILLISECOND_S, Markers
 
-LEVEL = 0.9
+# Of a normal distribution 90 % lie within so many standard deviations.
+WITHIN_90 = 1.6448536269514722
 
 
-@dataclass(frozen=True)
-class IntervalCoverage:
-    """Figures of each column, shaped as a row of what they were made of, such as (3,) or (L, 3).
+class IntervalCoverage(NamedTuple):
+    """Figures of each column, shaped as a row of what they were made of, such as (3,) or (L, 3)."""
 
-    Attributes:
-        samples: where all three were measured.
-        share: of these, truths within the interval; NaN where there is none.
-        ratio: median standard deviation over root mean square error; NaN where there is none,
-            infinite where there is no error.
-    """
-
-    samples: np.ndarray
-    share: np.ndarray
+    samples: np.ndarray  # where both were measured
+    share: np.ndarray  # of these, errors within the 90 % interval; NaN where there is none
+    # Median standard deviation over root mean square error; NaN where there is none, infinite where
+    # there is no error.
     ratio: np.ndarray
 
 
-def interval_coverage(
-    truth: np.ndarray, estimate: np.ndarray, deviation: np.ndarray, level: float = LEVEL
-) -> IntervalCoverage:
-    """Hold standard deviations against actual errors.
-
-    The interval is the estimate plus and minus what a normal distribution puts ``level`` within
-    (1.645 standard deviations for 0.9).
-
-    Args:
-        truth: (T, ...) such as (T, 3) or (T, L, 3), metres; NaN where unknown.
-        estimate: of the same shape.
-        deviation: of the same shape.
-        level: nominal share, between 0 and 1.
-    """
-    error = np.asarray(estimate, float) - np.asarray(truth, float)
-    deviation = np.asarray(deviation, float)
-    is_finite = np.isfinite(error) & np.isfinite(deviation)
-    inside = is_finite & (np.abs(error) <= ndtri((1 + level) / 2) * deviation)
+def interval_coverage(errors: np.ndarray, deviations: np.ndarray) -> IntervalCoverage:
+    """Hold standard deviations (T, ...) against actual errors of the same shape; NaN is unknown."""
+    errors, deviations = (np.asarray(each, float) for each in (errors, deviations))
+    is_finite = np.isfinite(errors) & np.isfinite(deviations)
+    inside = is_finite & (np.abs(errors) <= WITHIN_90 * deviations)
     samples = is_finite.sum(0)
     some, counts = samples > 0, np.maximum(samples, 1)
-    rms = np.sqrt(np.sum(np.where(is_finite, error, 0.0) ** 2, 0) / counts)
+    rms = np.sqrt(np.sum(np.where(is_finite, errors, 0.0) ** 2, 0) / counts)
     # Columns without data get a row that keeps NumPy's median from warning.
-    medians = np.nanmedian(np.where(is_finite | ~some, np.where(some, deviation, 0.0), np.nan), 0)
+    medians = np.nanmedian(np.where(is_finite | ~some, np.where(some, deviations, 0.0), np.nan), 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(some, medians / rms, np.nan)
     return IntervalCoverage(samples, np.where(some, inside.sum(0) / counts, np.nan), ratio)
 
 
-# Vertical axis of a file -> which of its axes are the world's x, y, z.
-TO_WORLD = {"z": [0, 1, 2], "y": [2, 0, 1]}
 # Statistic -> its unit, as the end of its key in JSON; metres where it is not here.
 _UNITS = {"samples": "", "jitter": "_m_s2", "within_90": "_share", "error_over_stated": ""}
 
@@ -128,15 +109,18 @@ class Errors:
         """What was stated beside what was found, where any deviation was."""
         if self.deviations is None or not np.isfinite(self.deviations).any():
             return {}
-        joints = range(len(self.joints))
-        each = [(self.offsets[:, j].ravel(), self.deviations[:, j].ravel()) for j in joints]
-        held = [interval_coverage(np.zeros(off.size), off, stated) for off, stated in each]
+        # All three coordinates of a joint in one column.
+        columns = (
+            np.swapaxes(each, 1, 2).reshape(-1, len(self.joints))
+            for each in (self.offsets, self.deviations)
+        )
+        _, share, ratio = interval_coverage(*columns)
         with np.errstate(divide="ignore"):
-            ratios = 1 / np.array([float(each.ratio) for each in held])
+            over_stated = 1 / ratio
         return {
             "stated": _per_joint(np.median, np.linalg.norm(self.deviations, axis=-1)),
-            "within_90": np.array([float(each.share) for each in held]),
-            "error_over_stated": ratios,
+            "within_90": share,
+            "error_over_stated": over_stated,
         }
 
     @property
@@ -232,9 +216,9 @@ def _span(times: np.ndarray) -> str:
 
 def _points_z_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
     """Name -> points (T, 3), world with Z up, of a reference whose vertical axis is ``up``."""
-    if up not in TO_WORLD:
-        raise ValueError(f"up = {up!r}: expected one of {', '.join(TO_WORLD)}")
-    return {name: points[:, TO_WORLD[up]] for name, points in reference.points().items()}
+    if up not in R_WORLD_OF_UP:
+        raise ValueError(f"up = {up!r}: expected one of {', '.join(R_WORLD_OF_UP)}")
+    return {name: to_world(R_WORLD_OF_UP[up], at) for name, at in reference.points().items()}
 
 
 def evaluate(

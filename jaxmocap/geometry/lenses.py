@@ -3,11 +3,9 @@
 INPUTS: components of points on the plane z = 1 in front of the camera, a lens's coefficients.
 OUTPUTS: components of the distorted points, and back; NumPy in, NumPy out, and so with JAX.
 
-A lens is a class with the methods of ``LensModel``, and its entry in ``LENSES``. Calibration files
+A lens is a class with the methods of these two, and its entry in ``LENSES``. Calibration files
 name it in ``formats/cameras/calibration.py``.
 """
-
-from typing import Protocol
 
 from jaxmocap.compilation.arrays import Numbers, namespace
 
@@ -27,36 +25,13 @@ _NEWTON_STEPS = 8
 _LONGEST_STEP = 0.5
 
 
-class LensModel(Protocol):
-    """What a camera asks its lens."""
-
-    @property
-    def coefficients(self) -> tuple[str, ...]:
-        """Names of its coefficients, in the order of a calibration file."""
-        ...
-
-    def distort(self, k: Component, x: Component, y: Component) -> tuple[Component, Component]:
-        """Distorted components (...) of points (...) on the plane z = 1."""
-        ...
-
-    def undistort(self, k: Component, x: Component, y: Component) -> tuple[Component, Component]:
-        """Components (...) on the plane z = 1 of distorted points (...)."""
-        ...
-
-    def slopes(
-        self, k: Component, x: Component, y: Component
-    ) -> tuple[Component, Component, Component]:
-        """∂x'/∂x, ∂x'/∂y = ∂y'/∂x and ∂y'/∂y of the distortion at points (...) of z = 1."""
-        ...
-
-
 class BrownConrady:
     """OpenCV's rational radial and tangential distortion: ordinary lenses."""
 
     coefficients: tuple[str, ...] = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
     def distort(self, k: Component, x: Component, y: Component) -> tuple[Component, Component]:
-        """See ``LensModel.distort``."""
+        """Distorted components (...) of points (...) on the plane z = 1."""
         k1, k2, p1, p2, k3, k4, k5, k6 = k
         r2 = x * x + y * y
         radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
@@ -65,7 +40,10 @@ class BrownConrady:
         return x * radial + dx, y * radial + dy
 
     def undistort(self, k: Component, x: Component, y: Component) -> tuple[Component, Component]:
-        """See ``LensModel.undistort``; by a fixed number of bounded Newton steps."""
+        """Components (...) on the plane z = 1 of distorted points (...).
+
+        By a fixed number of bounded Newton steps.
+        """
         xp = namespace(x)
         plane_x, plane_y = x, y
         for _ in range(_NEWTON_STEPS):
@@ -82,7 +60,7 @@ class BrownConrady:
     def slopes(
         self, k: Component, x: Component, y: Component
     ) -> tuple[Component, Component, Component]:
-        """See ``LensModel.slopes``."""
+        """∂x'/∂x, ∂x'/∂y = ∂y'/∂x and ∂y'/∂y of the distortion at points (...) of z = 1."""
         k1, k2, p1, p2, k3, k4, k5, k6 = k
         r2 = x * x + y * y
         above, below = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
@@ -108,12 +86,12 @@ class KannalaBrandt:
     coefficients: tuple[str, ...] = ("k1", "k2", "k3", "k4")
 
     def distort(self, k: Component, x: Component, y: Component) -> tuple[Component, Component]:
-        """See ``LensModel.distort``."""
+        """See ``BrownConrady.distort``."""
         _, _, scale = self._polar(k, x, y)
         return x * scale, y * scale
 
     def undistort(self, k: Component, x: Component, y: Component) -> tuple[Component, Component]:
-        """See ``LensModel.undistort``; by a fixed number of Newton steps for the angle."""
+        """See ``BrownConrady.undistort``; by a fixed number of Newton steps for the angle."""
         xp = namespace(x)
         radius, on_axis = _radius(x, y)
         angle = xp.minimum(radius, WIDEST_RAD)
@@ -127,7 +105,7 @@ class KannalaBrandt:
     def slopes(
         self, k: Component, x: Component, y: Component
     ) -> tuple[Component, Component, Component]:
-        """See ``LensModel.slopes``."""
+        """See ``BrownConrady.slopes``."""
         radius, angle, scale = self._polar(k, x, y)
         along = _polynomial(k, angle, (3, 5, 7, 9)) / (1 + x * x + y * y)
         stretch = (along - scale) / radius**2
@@ -163,4 +141,7 @@ def _polynomial(k: Component, angle: Component, factors: tuple[int, int, int, in
     return 1 + total
 
 
-LENSES: dict[str, LensModel] = {BROWN_CONRADY: BrownConrady(), FISHEYE: KannalaBrandt()}
+LENSES: dict[str, BrownConrady | KannalaBrandt] = {
+    BROWN_CONRADY: BrownConrady(),
+    FISHEYE: KannalaBrandt(),
+}

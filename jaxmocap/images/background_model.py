@@ -8,7 +8,8 @@ INPUTS: frames (N, h, w, 3) uint8, masks (N, h, w) bool of where the body may be
 Background; or, for a live run, a RunningBackground, which uses earlier frames alone.
 """
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -38,8 +39,7 @@ ALIKE_LEVELS, SAME_ROOM = 18, 0.65
 ROWS = 8
 
 
-@dataclass(frozen=True)
-class Background:
+class Background(NamedTuple):
     """What the camera sees where nobody stands."""
 
     colour: np.ndarray  # (h, w, 3) float32, grey levels in the frames' own order of channels
@@ -47,15 +47,8 @@ class Background:
     certainty: np.ndarray  # (h, w) float32, 0 to 1: of having observed the pixel without the person
 
     def part(self, rows_columns: tuple[slice, slice]) -> "Background":
-        """Some rows and columns of it."""
-        return Background(*(getattr(self, f.name)[rows_columns] for f in fields(self)))
-
-    def with_part(self, rows_columns: tuple[slice, slice], part: "Background") -> "Background":
-        """The same with some rows and columns replaced."""
-        whole = Background(*(getattr(self, f.name).copy() for f in fields(self)))
-        for f in fields(self):
-            getattr(whole, f.name)[rows_columns] = getattr(part, f.name)
-        return whole
+        """Some rows and columns of it: a view."""
+        return Background(*(values[rows_columns] for values in self))
 
 
 def spread(count: int, most: int = MOST_FRAMES) -> np.ndarray:

@@ -30,25 +30,24 @@ class Canvas(NamedTuple):
 
 
 def canvas(
-    image: np.ndarray, region: Region, size: int, background: Background | None = None
+    image: np.ndarray | None, region: Region, size: int, background: Background | None = None
 ) -> Canvas:
-    """An image (H, W, 3) uint8, and the learned room, on a region's cells."""
+    """An image (H, W, 3) uint8, and the learned room, on a region's cells; blank without one."""
 
     def part(values: np.ndarray) -> np.ndarray:
         return resample_values(values, region, size)
 
-    inside = _inside(image.shape[:2], region, size)
+    nothing, black = np.zeros((size, size), np.float32), np.zeros((size, size, 3), np.uint8)
+    blank = Canvas(black, nothing, black, nothing + 1, nothing)
+    if image is None:
+        return blank
+    shown = blank._replace(colour=part(image), inside=_inside(image.shape[:2], region, size))
     if background is None:
-        nothing = np.zeros((size, size), np.float32)
-        room = np.zeros((size, size, 3), np.uint8)
-        return Canvas(part(image), inside, room, nothing + 1, nothing)
-    certainty = mask_canvas(background.certainty, region, size)
-    return Canvas(
-        part(image),
-        inside,
-        np.rint(part(background.colour)).astype(np.uint8),
-        part(background.noise),
-        certainty,
+        return shown
+    return shown._replace(
+        room=np.rint(part(background.colour)).astype(np.uint8),
+        noise=part(background.noise),
+        certainty=mask_canvas(background.certainty, region, size),
     )
 
 

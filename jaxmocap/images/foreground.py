@@ -180,8 +180,9 @@ def learn_foreground(
         ]
     )
     free = ~(cores | (bodies & (odds > -SURE_ODDS)))
-    within = background_of(even[:, *box], free[:, *box])
-    return background.with_part(box, within), learn_colours(frames, cores & (odds >= 0), bodies)
+    for values, part in zip(background, background_of(even[:, *box], free[:, *box]), strict=True):
+        values[box] = part
+    return background, learn_colours(frames, cores & (odds >= 0), bodies)
 
 
 def weigh_odds(odds: np.ndarray) -> Layers:

@@ -3,5 +3,5 @@
 Each mirrored module has the names and signatures of its original. Nothing here imports ours:
 skeletons, poses and cameras are anything with the same attributes.
 
-Begin with ``kinematics``, then ``hybrid/ik``, ``smoothing`` and ``silhouette``.
+Begin with ``kinematics``, then ``hybrid/ik``.
 """

@@ -7,6 +7,7 @@ OUTPUTS: frames of all bones, points on bones, their derivatives; float64.
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 # Landmark -> bone and which end of it, in the order in which ``landmarks`` returns them.
 LANDMARK_ENDS = {
@@ -42,23 +43,14 @@ class Frames(NamedTuple):
     axes_world: np.ndarray  # (D, 3) hinge axes v_j of equation (4)
 
 
-def rotate_vectors(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
-    """Rodrigues: vectors (..., 3) turned by ``angle``, radians, about a unit axis (3,)."""
-    (x, y, z), along = axis, (vector @ axis)[..., None] * axis
-    across = vector @ np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])
-    return along + np.cos(angle) * (vector - along) + np.sin(angle) * across
+def rotate_vectors(vectors: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
+    """Vectors (K, 3) turned by ``angle``, radians, about a unit axis (3,)."""
+    return Rotation.from_rotvec(angle * axis).apply(vectors)
 
 
 def quaternion_matrix(quaternion: np.ndarray) -> np.ndarray:
     """Rotation matrix (3, 3) of a quaternion (4,), wxyz."""
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
 
 
 def forward(skeleton: Any, pose: Any) -> Frames:

@@ -15,7 +15,7 @@ higher ones as the pose settles, and in the end all of them. Then pairs that lie
 against the others, count for nothing.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -92,15 +92,6 @@ class ContourPose(NamedTuple):
     status: Status
 
 
-class _End(NamedTuple):
-    """A pose (4, 4), cycles (S,), the last step by the radius, and the contour at the pose."""
-
-    T: Array
-    cycles: Array
-    moved: Array
-    contour: SpaceContour
-
-
 def solve_contour_pose(
     shape: np.ndarray | RigidSurface,
     cameras: Sequence[Camera],
@@ -172,21 +163,22 @@ def solve_contour_pose(
         kept.append(np.asarray(outline, float)[evenly].reshape(-1, 2))
     rays = _rays_of(cameras, kept, how.samples)
     begun = jnp.asarray(start, rays.lines.moments.dtype)
-    if isinstance(shape, RigidSurface):
-        points = shape.nodes[-1]
-        end = _by_surface(rays, shape, stack_cameras(cameras), begun, how)
-    else:
-        points = fourier_series(shape, 2 * np.pi * np.arange(how.samples) / how.samples)
-        end = _by_curve(rays, shape, begun, how)
-    radius = _radius(points)
+    levels, radius, contour = _contours_of(shape, cameras, begun.dtype, how)
+    T, moved, counts = begun, np.inf, []
+    for level, most, weights in _stages(levels, how):
+        count, moved = 0, np.inf
+        while count < most and moved > float(how.rest):
+            T, step = _move_pose(rays, contour(T, level), T, radius, weights, how.both_ways)
+            count, moved = count + 1, float(step)
+        counts.append(count)
     T, distances, shares, status = _measure_end(
-        rays, begun, end, how.deviation * radius, how.rest, how.reach
+        rays, begun, T, moved, contour(T, -1), how.deviation * radius, how.rest, how.reach
     )
     off, left = (
         tuple(row[: len(pixels)] for row, pixels in zip(np.array(part), kept, strict=True))
         for part in (distances, shares)
     )
-    return ContourPose(np.asarray(T), off, left, np.asarray(end.cycles), Status(int(status)))
+    return ContourPose(np.asarray(T), off, left, np.array(counts), Status(int(status)))
 
 
 def _check(
@@ -246,74 +238,33 @@ def _radius(points: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum((points - points.mean(0)) ** 2, -1))))
 
 
-def _by_curve(rays: Rays, descriptors: np.ndarray, start: Array, how: ContourPoseSettings) -> _End:
-    """All stages of a curve in one program."""
+def _contours_of(
+    shape: np.ndarray | RigidSurface,
+    cameras: Sequence[Camera],
+    dtype: jnp.dtype,
+    how: ContourPoseSettings,
+) -> tuple[Sequence[int], float, Callable[[Array, int], SpaceContour]]:
+    """Low-passes that lead the way, the radius, and the contour at a pose of one, -1 for none."""
+    if isinstance(shape, RigidSurface):
+        stacked, radius = stack_cameras(cameras), _radius(shape.nodes[-1])
+
+        def of_surface(T: Array, level: int) -> SpaceContour:
+            rim = shape.rim(T, stacked, level)
+            points = shape.nodes[level][rim.nodes].astype(dtype)
+            return contour_of_rim(stacked, rim, points, T, radius)
+
+        return [shape.harmonics.index(each) for each in how.harmonics], radius, of_surface
     phases = 2 * np.pi * np.arange(how.samples) / how.samples
-    low = [h for h in how.harmonics if h < len(descriptors) - 1]
-    levels, cycles, weights = zip(*_stages(range(len(low)), how), strict=True)
-    curves = np.stack([fourier_series(descriptors, phases, h) for h in (*low, None)])
-    arrays = jax.tree.map(lambda *parts: np.array(parts, start.dtype), *weights)
-    most = np.array(cycles, np.int32)
-    every, radius = curves[list(levels)].astype(start.dtype), _radius(curves[-1])
-    return _through_stages(rays, every, most, arrays, start, radius, how.rest, how.both_ways)
+    low = [h for h in how.harmonics if h < len(shape) - 1]
+    curves = [fourier_series(shape, phases, h) for h in (*low, None)]
+
+    def of_wire(T: Array, level: int) -> SpaceContour:
+        return contour_of_wire(curves[level].astype(dtype), T, len(cameras))
+
+    return range(len(low)), _radius(curves[-1]), of_wire
 
 
 @partial(jax.jit, static_argnames="both_ways")
-def _through_stages(
-    rays: Rays,
-    curves: Array,
-    cycles: Array,
-    weights: StepWeights,
-    start: Array,
-    radius: Array,
-    rest: Array,
-    both_ways: bool,
-) -> _End:
-    """Curves (S, P, 3), object's frame, and most cycles (S,) of each stage, to the end."""
-    cameras = len(rays.real)
-
-    def stage(T: Array, now: tuple[Array, Array, StepWeights]) -> tuple[Array, tuple[Array, Array]]:
-        curve, most, weights = now
-
-        def unfinished(carry: tuple[Array, Array, Array]) -> Array:
-            return (carry[0] < most) & (carry[2] > rest)
-
-        def cycle(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            count, T, _ = carry
-            contour = contour_of_wire(twists.move(T, curve), cameras)
-            return count + 1, *_move_pose(rays, contour, T, radius, weights, both_ways)
-
-        far = jnp.asarray(jnp.inf, T.dtype)
-        count, T, moved = jax.lax.while_loop(unfinished, cycle, (jnp.zeros((), jnp.int32), T, far))
-        return T, (count, moved)
-
-    T, (counts, moved) = jax.lax.scan(stage, start, (curves, cycles, weights))
-    return _End(T, counts, moved[-1], contour_of_wire(twists.move(T, curves[-1]), cameras))
-
-
-def _by_surface(
-    rays: Rays, surface: RigidSurface, cameras: Camera, start: Array, how: ContourPoseSettings
-) -> _End:
-    """All stages of a surface, whose rims are found on the host, one a cycle."""
-    levels = [surface.harmonics.index(each) for each in how.harmonics]
-    radius = _radius(surface.nodes[-1])
-    T, moved, counts = start, np.inf, []
-
-    def contour(T: Array, level: int) -> SpaceContour:
-        rim = surface.rim(T, cameras, level)
-        points = surface.nodes[level][rim.nodes].astype(start.dtype)
-        return contour_of_rim(cameras, rim, points, T, radius)
-
-    for level, most, weights in _stages(levels, how):
-        count, moved = 0, np.inf
-        while count < most and moved > float(how.rest):
-            now = contour(T, level)
-            T, step = _moved_once(rays, now, T, radius, weights, how.both_ways)
-            count, moved = count + 1, float(step)
-        counts.append(count)
-    return _End(T, jnp.asarray(counts), jnp.asarray(moved), contour(T, -1))
-
-
 def _move_pose(
     rays: Rays,
     contour: SpaceContour,
@@ -329,16 +280,20 @@ def _move_pose(
     return there, jnp.max(jnp.where(contour.real, ways, 0.0)) / radius
 
 
-_moved_once = jax.jit(_move_pose, static_argnames="both_ways")
-
-
 @jax.jit
 def _measure_end(
-    rays: Rays, start: Array, end: _End, deviation: Array, rest: Array, reach: Array
+    rays: Rays,
+    start: Array,
+    T: Array,
+    moved: Array,
+    contour: SpaceContour,
+    deviation: Array,
+    rest: Array,
+    reach: Array,
 ) -> tuple[Array, Array, Array, Array]:
     """The pose (4, 4), distances and shares (C, Q) of the rays, and a status."""
-    broken = ~jnp.all(jnp.isfinite(end.T))
-    status = jnp.where(end.moved > rest, Status.OUT_OF_STEPS, Status.CONVERGED)
+    broken = ~jnp.all(jnp.isfinite(T))
+    status = jnp.where(moved > rest, Status.OUT_OF_STEPS, Status.CONVERGED)
     status = jnp.where(broken, Status.BROKEN, status).astype(jnp.int32)
-    off = distances_off(rays, end.contour, deviation, reach)
-    return jnp.where(broken, start, end.T), *off, status
+    off = distances_off(rays, contour, deviation, reach)
+    return jnp.where(broken, start, T), *off, status

@@ -9,6 +9,7 @@ OUTPUTS: the motion that brings contour and rays together; how far the rays are 
 A wire is one contour for all cameras; a surface's rim is another for each.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -54,8 +55,10 @@ class StepWeights(NamedTuple):
     damping: Array | float  # share of all pairs' weight that holds what no ray determines
 
 
-def contour_of_wire(points: Array, cameras: int) -> SpaceContour:
-    """A closed curve (P, 3), the same for all cameras."""
+@partial(jax.jit, static_argnames="cameras")
+def contour_of_wire(curve: Array, T_world_object: Array, cameras: int) -> SpaceContour:
+    """A closed curve (P, 3), object's frame, the same for all cameras."""
+    points = twists.move(T_world_object, curve)
     before, after = (jnp.roll(points, k, 0) for k in (1, -1))
     parts = jnp.stack([points, after, after - before])[:, None]
     points, after, tangents = jnp.broadcast_to(parts, (3, cameras, *points.shape))

@@ -29,7 +29,7 @@ from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
 from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.balance import Balance
-from jaxmocap.evidence.expansion import linearise_terms
+from jaxmocap.evidence.expansion import expand_terms
 from jaxmocap.evidence.ground import FeetOnFloor
 from jaxmocap.evidence.keypoints import EstimatedDepths, KeyPoints, SightLines
 from jaxmocap.evidence.limits import JointLimits
@@ -212,7 +212,7 @@ def _minima(
     starts = _starts(model.skeleton)
 
     def of_frame(own: Measurements) -> tuple:
-        descend = jax.vmap(partial(_descend, terms, model, own), (0, None))
+        descend = jax.vmap(partial(_descend_ahead, terms, model, own), (0, None))
         poses = jax.vmap(partial(_place_pose, model.skeleton, own))(starts)
         poses, costs = descend(poses, ROUGH_STEPS)
         best = jax.lax.top_k(-costs, MINIMA)[1]
@@ -265,34 +265,39 @@ def _place_pose(skeleton: Skeleton, measured: Measurements, pose: Pose) -> Pose:
     return pose._replace(position=jnp.linalg.solve(total, towards))
 
 
-def _descend(
+def _descend_ahead(
     terms: tuple[Term, ...], model: Model, measured: Measurements, start: Pose, steps: Any
 ) -> tuple[Pose, Array]:
-    """Where a damped Gauss-Newton descent ends, and half the squares there.
+    """``descend``, and half the squares there.
 
     Infinite where that is behind the cameras, whose lines have two ends.
     """
-    none = jnp.zeros(0, start.angles.dtype)
+    pose, lines = descend(terms, model, measured, start, steps), measured.sight_lines
+    away = landmarks(model.skeleton, pose) - lines.origin[:, None]
+    is_ahead = jnp.all(jnp.sum(away * jnp.nan_to_num(lines.directions), (1, 2)) >= 0)
+    cost = jnp.sum(residuals(terms, model, pose, measured) ** 2) / 2
+    return pose, jnp.where(is_ahead, cost, jnp.inf)
+
+
+def descend(
+    terms: tuple[Term, ...], model: Model, measured: Measurements, start: Pose, steps: Any
+) -> Pose:
+    """Where a damped Gauss-Newton descent within the limits ends."""
     size = ROOT_DOF + start.angles.size
-    low, high = model.skeleton.limits[:, 0], model.skeleton.limits[:, 1]
 
     def step(_: int, now: tuple) -> tuple:
         pose, damping = now
-        r, J = linearise_terms(terms, model, none, pose, measured)[:2]
+        r, J = expand_terms(terms, model, pose, measured, bends=False)[:2]
         cost = jnp.sum(r**2) / 2
         H = jnp.matmul(J.T, J, precision=HIGHEST) + damping * jnp.eye(size, dtype=r.dtype)
         move = -jnp.linalg.solve(H, jnp.matmul(r, J, precision=HIGHEST))
         move = move * jnp.minimum(1.0, LARGEST_STEP / jnp.maximum(jnp.max(jnp.abs(move)), 1e-9))
         there = retract(pose, move)
-        there = there._replace(angles=jnp.clip(there.angles, low, high))
+        there = there._replace(angles=jnp.clip(there.angles, *model.skeleton.limits.T))
         after = jnp.sum(residuals(terms, model, there, measured) ** 2) / 2
         lower = after < cost
         damping = damping * jnp.where(lower, EASED, RAISED)
         return tree_where(lower, there, pose), jnp.clip(damping, 1e-3, 1e6)
 
-    pose, _ = jax.lax.fori_loop(0, steps, step, (start, jnp.asarray(DAMPING, start.angles.dtype)))
-    lines = measured.sight_lines
-    away = landmarks(model.skeleton, pose) - lines.origin[:, None]
-    is_ahead = jnp.all(jnp.sum(away * jnp.nan_to_num(lines.directions), (1, 2)) >= 0)
-    cost = jnp.sum(residuals(terms, model, pose, measured) ** 2) / 2
-    return pose, jnp.where(is_ahead, cost, jnp.inf)
+    begun = start, jnp.asarray(DAMPING, start.angles.dtype)
+    return jax.lax.fori_loop(0, steps, step, begun)[0]

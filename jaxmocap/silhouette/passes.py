@@ -16,7 +16,6 @@ import jax
 import numpy as np
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
@@ -82,10 +81,7 @@ class PassResult:
         return jax.tree.map(lambda *parts: np.stack(parts), *(each.pose for each in self.estimates))
 
     def smooth(self, constants: TrackerConstants) -> tuple[Pose, np.ndarray]:
-        """(F, ...) as all frames together have them, and how sure (F, L, 3); NaN unsmoothed."""
-        how = constants.settings.smoothing
-        if how is None:
-            return self.poses(), np.full((len(self.times), len(LANDMARKS), 3), np.nan)
+        """(F, ...) as all frames together have them, and how sure (F, L, 3)."""
         information = FrameInformation(
             self.poses(),
             np.stack([report.information for report in self.reports]),
@@ -94,10 +90,10 @@ class PassResult:
             np.array([report.used.sum() for report in self.reports]),
             self._place_deviations(constants),
         )
-        skeleton, rest, morph = (
-            self.body.shape.skeleton, constants.rest_deviations, constants.finder.morph,
+        return smoothed_poses(
+            self.body.shape.skeleton, np.array(self.times), information,
+            constants.rest_deviations, constants.settings.smoothing, constants.finder.morph,
         )  # fmt: skip
-        return smoothed_poses(skeleton, np.array(self.times), information, rest, how, morph)
 
     def _place_deviations(self, constants: TrackerConstants) -> np.ndarray:
         """(F,) of the pelvis about its estimated place: one camera's is as key points have it."""

@@ -24,7 +24,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract, room
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.evidence.expansion import linearise_term
+from jaxmocap.evidence.expansion import expand_terms
 from jaxmocap.evidence.terms import Measurements, Term
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.points import PointRays, linearised_rays
@@ -86,14 +86,8 @@ class TermEvidence(NamedTuple):
 
     def equations(self, pose: Pose) -> tuple[Array, Array]:
         """Hessian (6 + D, 6 + D) and slope (6 + D,) of half the residuals' squares."""
-        width, dtype = self.model.skeleton.costs.size, pose.angles.dtype
-        information, slope = jnp.zeros((width, width), dtype), jnp.zeros(width, dtype)
-        for term in self.terms:
-            r, J = linearise_term(term, self.model, pose, self.measured)
-            J = J.reshape(-1, width)
-            information = information + jnp.matmul(J.T, J, precision=HIGHEST)
-            slope = slope + jnp.matmul(J.T, r.ravel(), precision=HIGHEST)
-        return information, slope
+        r, J, _ = expand_terms(self.terms, self.model, pose, self.measured, bends=False)
+        return jnp.matmul(J.T, J, precision=HIGHEST), jnp.matmul(J.T, r, precision=HIGHEST)
 
 
 class PoseResult(NamedTuple):

@@ -63,7 +63,6 @@ class Settings:
         rim: sizes; its canvases are the level sets' too, so that its margin holds a step's error.
         level_set: of the segmentation, traced.
         plan: of it, static.
-        sharpen: whether single pixels then decide where exactly its contours are.
         points: of each camera's contour, static.
         contrast: least of a contour's point, 0 to 1: below, the image does not separate its two
             sides.
@@ -94,7 +93,7 @@ class Settings:
             it is torn, black or another camera's, and ignored.
         patience: frames of a camera, one after the other, that may be ignored so.
         particles: of where a limb is that may be lost, static; 1 for the estimated pose alone.
-        smoothing: of all frames of a recording together; None leaves them as they were found.
+        smoothing: of all frames of a recording together.
         terms: of evidence beside the images. Markers count where any are followed, key points
             where there are any; hundreds of pairs that err alike stand against each.
         keypoint_poses: of poses by key points alone.
@@ -108,7 +107,6 @@ class Settings:
     rim: RimSettings = field(default_factory=lambda: RimSettings(margin=0.1))
     level_set: segment.LevelSetSettings = field(default_factory=segment.LevelSetSettings)
     plan: segment.SegmentationPlan = field(default_factory=segment.SegmentationPlan)
-    sharpen: bool = True
     points: int = 512
     contrast: float = 0.1
     cycles: tuple[Cycle, ...] = (Cycle(0.03, segments=True), Cycle(0.008), Cycle(0.004))
@@ -128,7 +126,7 @@ class Settings:
     changed_share: float = 0.16
     patience: int = 15
     particles: int = 128
-    smoothing: PoseSmoothingSettings | None = field(default_factory=PoseSmoothingSettings)
+    smoothing: PoseSmoothingSettings = field(default_factory=PoseSmoothingSettings)
     terms: tuple[Term, ...] = field(
         default_factory=lambda: (MarkerPositions(deviation=0.003), KeyPoints(deviation=0.005))  # type: ignore[arg-type]
     )

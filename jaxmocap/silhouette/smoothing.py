@@ -194,6 +194,5 @@ def _move_trajectory(
 ) -> Trajectory:
     """A trajectory moved by steps (T, 6 + D), within the joints' limits."""
     moved = move_trajectory(trajectory, steps, shared)
-    low, high = (np.asarray(skeleton.limits[:, side]) for side in (0, 1))
-    angles = np.clip(moved.poses.angles, low, high)
+    angles = np.clip(moved.poses.angles, *np.asarray(skeleton.limits).T)
     return moved._replace(poses=moved.poses._replace(angles=angles))

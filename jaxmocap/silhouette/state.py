@@ -12,6 +12,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background_model import Background
+from jaxmocap.silhouette.fit.correspond import ContourPairs
 from jaxmocap.silhouette.recovery.lost_limbs import LimbMemory, LimbRecovery
 from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
 from jaxmocap.silhouette.segmentation.outlines import Outlines
@@ -19,7 +20,6 @@ from jaxmocap.silhouette.segmentation.segment import Histograms
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.surfaces.body_shape import BodyShape
 from jaxmocap.silhouette.surfaces.rim import RimFinder
-from jaxmocap.silhouette.surfaces.shape import NodePairs
 
 
 class TrackerConstants(NamedTuple):
@@ -57,7 +57,7 @@ class StepReport(NamedTuple):
     # (D,) bool: joints that a particle filter, or an earlier pass, put elsewhere.
     relocated: np.ndarray
     hidden: np.ndarray  # (D,) bool: joints of parts that are not visible where the pose has them
-    pairs: NodePairs  # that the pose was fitted to
+    pairs: ContourPairs  # that the pose was fitted to
     # Reports of the last frames, the oldest first, where this one withdraws what they had of
     # relocated joints; in place of theirs.
     revised: "tuple[StepReport, ...]" = ()

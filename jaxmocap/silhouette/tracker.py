@@ -75,8 +75,7 @@ SHORTEST_STEP_S = 1e-3
 def predicted_pose(skeleton: Skeleton, pose: Pose, velocity: Array, ahead: Array) -> Pose:
     """A pose (..., ) moved on by a velocity (6 + D,) for so many seconds, within the limits."""
     moved = retract(pose, velocity * ahead)
-    low, high = skeleton.limits[:, 0], skeleton.limits[:, 1]
-    return moved._replace(angles=jnp.clip(moved.angles, low, high))
+    return moved._replace(angles=jnp.clip(moved.angles, *skeleton.limits.T))
 
 
 @program("full")

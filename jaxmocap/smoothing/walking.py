@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxmocap.body.arms import SIDES
 from jaxmocap.body.model import Model
-from jaxmocap.body.model_files import habits_of
+from jaxmocap.body.model_files import data_of
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import landmark_rows
@@ -63,7 +63,7 @@ class Habits(NamedTuple):
 @cache
 def usual_habits() -> Habits:
     """Those of ``body/data/walking.toml``."""
-    table = habits_of("walking.toml")
+    table = data_of("walking.toml")
     elbow, ankle, pelvis = (
         Habit(**{key: np.array(table[name][key]) for key in Habit._fields})
         for name in ("elbow", "ankle", "pelvis")

@@ -1,14 +1,13 @@
-"""A camera in NumPy, for drawing.
+"""Cameras of which people are drawn.
 
-INPUTS: a Camera, or where to put one. OUTPUTS: pixels and depths of world points.
+INPUTS: where to put one. OUTPUTS: a Camera.
 """
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.geometry.lenses import LENSES
 
 
 def look_at(
@@ -29,37 +28,19 @@ def look_at(
     return Camera.create(size, matrix, list(distortion), R, list(-R @ np.array(position)))
 
 
-@dataclass(frozen=True)
-class DrawingCamera:
-    """A camera's parameters in NumPy."""
+def look_around(
+    azimuth: float, distance: float, height: float, target: tuple[float, float, float], **how: Any
+) -> Camera:
+    """A camera at an azimuth about the world's origin, degrees, metres; more as in ``look_at``.
 
-    size: tuple[int, int]  # width and height, pixels
-    matrix: np.ndarray  # (3, 3) intrinsic matrix, pixels
-    distortion: np.ndarray  # coefficients of the lens
-    R_cam_world: np.ndarray  # (3, 3)
-    translation_cam: np.ndarray  # (3,) metres
-    lens: str  # name in ``LENSES``
+    Of somebody who faces +x, positive azimuths are to the left.
+    """
+    turn = np.deg2rad(azimuth)
+    position = (distance * np.cos(turn), distance * np.sin(turn), height)
+    return look_at(position, target, **how)
 
-    @classmethod
-    def of(cls, camera: Camera) -> "DrawingCamera":
-        """The same camera."""
-        T = np.asarray(camera.T_cam_world, float)
-        width, height = (int(n) for n in np.asarray(camera.size))
-        matrix, distortion = (np.asarray(a, float) for a in (camera.matrix, camera.distortion))
-        return cls((width, height), matrix, distortion, T[:3, :3], T[:3, 3], camera.lens)
 
-    @property
-    def position_world(self) -> np.ndarray:
-        """(3,) centre of projection, metres."""
-        return -self.R_cam_world.T @ self.translation_cam
-
-    def depths(self, points_world: np.ndarray) -> np.ndarray:
-        """(...) distances along the optical axis of (..., 3) points, metres."""
-        return points_world @ self.R_cam_world[2] + self.translation_cam[2]
-
-    def pixels(self, points_world: np.ndarray) -> np.ndarray:
-        """(..., 2) pixels (x, y) of (..., 3) points in front of the camera."""
-        points_cam = points_world @ self.R_cam_world.T + self.translation_cam
-        x, y = np.moveaxis(points_cam[..., :2] / points_cam[..., 2:], -1, 0)
-        distorted = LENSES[self.lens].distort(self.distortion, x, y)
-        return np.stack(distorted, -1) @ self.matrix[:2, :2].T + self.matrix[:2, 2]
+def image_size(camera: Camera) -> tuple[int, int]:
+    """Width and height, pixels."""
+    width, height = (int(n) for n in np.asarray(camera.size))
+    return width, height

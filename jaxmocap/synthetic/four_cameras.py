@@ -13,7 +13,6 @@ the frames' times, world, metres, Z up; ``truth_angles.npz`` with elbows and kne
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -23,8 +22,10 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.time_series.trc import write_trc
-from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
+from jaxmocap.geometry.cameras import Camera, on_host, project
+from jaxmocap.synthetic.drawing_camera import look_around
+from jaxmocap.synthetic.movements.exerciser import Exerciser
+from jaxmocap.synthetic.people.clothed_person import Actor
 from jaxmocap.synthetic.recording import VIDEO_RATE, write_video
 from jaxmocap.synthetic.renderer import (
     Mover,
@@ -53,12 +54,8 @@ IMAGE_SHARE = 0.94
 SAMPLING_S = 0.1
 
 
-class Performer(Mover, Protocol):
-    """Someone who moves, with true joints."""
-
-    def landmarks(self, times: np.ndarray) -> dict[str, np.ndarray]:
-        """Landmark name -> (T, 3), world, metres."""
-        ...
+# Someone who moves, with true joints.
+Performer = Actor | Exerciser
 
 
 @dataclass(frozen=True)
@@ -90,12 +87,11 @@ class RoomCamera:
     def mask(self, mover: Mover, time: float) -> np.ndarray:
         """(H, W) bool, the pixels of someone at a time."""
         vertices = mover.vertices(np.array([time]))[0]
-        return silhouette(mover.mesh, DrawingCamera.of(self.camera), vertices)
+        return silhouette(mover.mesh, self.camera, vertices)
 
     def _at(self, azimuth: float, target: np.ndarray) -> Camera:
-        turn = np.deg2rad(azimuth)
-        position = (DISTANCE_M * np.cos(turn), DISTANCE_M * np.sin(turn), self.height)
-        return look_at(position, (target[0], target[1], target[2]), focal=self.focal)
+        at = (target[0], target[1], target[2])
+        return look_around(azimuth, DISTANCE_M, self.height, at, focal=self.focal)
 
 
 def cameras_around(mover: Mover, seconds: float) -> tuple[RoomCamera, ...]:
@@ -105,9 +101,9 @@ def cameras_around(mover: Mover, seconds: float) -> tuple[RoomCamera, ...]:
     cameras = []
     for number, (azimuth, height) in enumerate(zip(AZIMUTHS_DEG, HEIGHTS_M, strict=True), 1):
         view = RoomCamera(number, azimuth, height, (low + high) / 2, 1000.0)
-        camera = DrawingCamera.of(view.camera)
+        camera = on_host(view.camera)
         reach = max(
-            np.max(np.abs(camera.pixels(v) - camera.matrix[:2, 2]) / np.divide(camera.size, 2))
+            np.max(np.abs(project(camera, v) - camera.matrix[:2, 2]) / np.divide(camera.size, 2))
             for v in vertices
         )
         cameras.append(replace(view, focal=IMAGE_SHARE * view.focal / reach))

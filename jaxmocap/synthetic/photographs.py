@@ -18,7 +18,7 @@ import numpy as np
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.writing import write_bytes
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
+from jaxmocap.synthetic.drawing_camera import look_around
 from jaxmocap.synthetic.movements.exerciser import Exerciser
 from jaxmocap.synthetic.movements.splines import KeyStance, Spline
 from jaxmocap.synthetic.people.rigged_mesh import Rig
@@ -73,11 +73,10 @@ def camera_of(rig: Rig, photograph: str) -> Camera:
 
 def _camera(height: float, azimuth: float) -> Camera:
     """At an azimuth about the origin, degrees."""
-    turn = np.deg2rad(azimuth)
-    position = (DISTANCE_M * np.cos(turn), DISTANCE_M * np.sin(turn), 0.8 * height)
     focal = SIZE[1] * DISTANCE_M / (VISIBLE_SHARE * height)
-    distortion = (-0.05, 0.02, 0.0003, -0.0002)
-    return look_at(position, (0.0, 0.0, TARGET_SHARE * height), SIZE, focal, distortion)
+    how = {"size": SIZE, "focal": focal, "distortion": (-0.05, 0.02, 0.0003, -0.0002)}
+    target = (0.0, 0.0, TARGET_SHARE * height)
+    return look_around(azimuth, DISTANCE_M, 0.8 * height, target, **how)
 
 
 def photograph(rig: Rig, name: str, seed: int):
@@ -88,7 +87,7 @@ def photograph(rig: Rig, name: str, seed: int):
     turned = RotatedMover(person_in_stance(rig, name), PHOTOGRAPHS[name][1])
     camera = _camera(rest_height(rig), 0.0)
     scene = Scene(camera, background, turned)
-    return Sensor.create(SIZE, rng).expose(exposure(scene, DrawingCamera.of(camera), 0.0))
+    return Sensor.create(SIZE, rng).expose(exposure(scene, 0.0))
 
 
 def backdrop(rng: np.random.Generator) -> np.ndarray:

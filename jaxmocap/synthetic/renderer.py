@@ -15,8 +15,8 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
+from jaxmocap.geometry.cameras import Camera, depth, on_host, project
+from jaxmocap.synthetic.drawing_camera import image_size, look_around
 from jaxmocap.synthetic.people.meshes import QuadMesh
 from jaxmocap.synthetic.room import FRACTION_BITS, OVERSAMPLING, WALL_X, Room, to_fixed
 
@@ -78,9 +78,8 @@ class Scene:
         cls, camera: Camera, mover: Mover, seed: int = 0, furnished: bool = True
     ) -> "Scene":
         """A room furnished by the seed, or a bare one."""
-        drawn = DrawingCamera.of(camera)
         rng = np.random.default_rng([seed, 2])
-        room = Room.furnish(drawn, rng) if furnished else Room.bare(drawn)
+        room = Room.furnish(camera, rng) if furnished else Room.bare(camera)
         return cls(camera, room, mover, seed)
 
 
@@ -91,53 +90,40 @@ def render_frames(
 
     ``progress`` is called with the frames done and their total.
     """
-    camera = DrawingCamera.of(scene.camera)
-    sensor = Sensor.create(camera.size, np.random.default_rng([scene.seed, 3]))
+    sensor = Sensor.create(image_size(scene.camera), np.random.default_rng([scene.seed, 3]))
     for i, time in enumerate(times):
-        yield sensor.expose(exposure(scene, camera, float(time)))
+        yield sensor.expose(exposure(scene, float(time)))
         if progress:
             progress(i + 1, len(times))
 
 
-def exposure(scene: Scene, camera: DrawingCamera, time: float) -> np.ndarray:
+def exposure(scene: Scene, time: float) -> np.ndarray:
     """The light of one exposure: (H, W, 3), BGR uint8, without the sensor's noise."""
+    camera = on_host(scene.camera)
     vertices = scene.mover.vertices(time + EXPOSURE_S * np.array([-0.5, 0.0, 0.5]))
-    middle, pixels = vertices[1], _blur_pixels(camera.pixels(vertices))
-    image = draw_shadow(scene, camera, middle)
-    box = _box(pixels, camera.size)
+    middle, pixels = vertices[1], _blur_pixels(project(camera, vertices))
+    image = draw_shadow(scene, middle)
+    box = _box(pixels, image_size(camera))
     if box is None:
         return image
     order, colours = _shade_faces(scene.mover.mesh, camera, middle)
     faces = scene.mover.mesh.faces[order]
-    corners = np.ascontiguousarray(to_fixed(pixels - box[0])[:, faces])
-    (left, top), (right, bottom) = box
-    part = np.ascontiguousarray(image[top:bottom, left:right])
-    empty = cv2.resize(
-        part, None, fx=OVERSAMPLING, fy=OVERSAMPLING, interpolation=cv2.INTER_NEAREST
-    )
-    total = np.zeros(part.shape, np.float32)
-    for quads in corners:
-        drawn = _paint_quads(empty.copy(), quads, colours)
-        total += cv2.resize(drawn, part.shape[1::-1], interpolation=cv2.INTER_AREA)
-    image[top:bottom, left:right] = np.rint(total / len(corners)).astype(np.uint8)
+    _draw_quads(image, box, to_fixed(pixels - box[0])[:, faces], colours)
     return image
 
 
-def silhouette(mesh: QuadMesh, camera: DrawingCamera, vertices: np.ndarray) -> np.ndarray:
+def silhouette(mesh: QuadMesh, camera: Camera, vertices: np.ndarray) -> np.ndarray:
     """Pixels (H, W) bool of which at least half shows the mesh, its vertices at (V, 3)."""
-    pixels = camera.pixels(vertices)
-    mask = np.zeros(camera.size[::-1], bool)
-    box = _box(pixels[None], camera.size)
+    camera, size = on_host(camera), image_size(camera)
+    pixels = np.asarray(project(camera, vertices))
+    mask = np.zeros(size[::-1], np.uint8)
+    box = _box(pixels[None], size)
     if box is None:
-        return mask
+        return mask > 0
     order, _ = _shade_faces(mesh, camera, vertices)
-    corners = np.ascontiguousarray(to_fixed(pixels - box[0])[mesh.faces[order]])
-    (left, top), (right, bottom) = box
-    canvas = np.zeros(((bottom - top) * OVERSAMPLING, (right - left) * OVERSAMPLING), np.uint8)
-    drawn = _paint_quads(canvas, corners, [(255.0,)] * len(corners))
-    small = cv2.resize(drawn, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
-    mask[top:bottom, left:right] = small >= 128
-    return mask
+    quads = to_fixed(pixels - box[0])[None, mesh.faces[order]]
+    _draw_quads(mask, box, quads, [(255.0,)] * len(order))
+    return mask >= 128
 
 
 def _blur_pixels(pixels: np.ndarray) -> np.ndarray:
@@ -149,12 +135,25 @@ def _blur_pixels(pixels: np.ndarray) -> np.ndarray:
     return middle + np.abs(shares) * np.where(shares < 0, start - middle, end - middle)
 
 
-def _paint_quads(canvas: np.ndarray, quads: np.ndarray, colours: list[tuple]) -> np.ndarray:
-    """Quadrilaterals (N, 4, 2), fixed-point, painted one over the other."""
-    fill = cv2.fillConvexPoly
-    for quad, colour in zip(quads, colours, strict=True):
-        fill(canvas, quad, colour, cv2.LINE_8, FRACTION_BITS)
-    return canvas
+def _draw_quads(
+    image: np.ndarray, box: np.ndarray, instants: np.ndarray, colours: list[tuple]
+) -> None:
+    """Draw quadrilaterals (T, N, 4, 2), fixed-point from a box' corner, the mean of T instants.
+
+    Within the box, one over the other.
+    """
+    (left, top), (right, bottom) = box
+    part = np.ascontiguousarray(image[top:bottom, left:right])
+    empty = cv2.resize(
+        part, None, fx=OVERSAMPLING, fy=OVERSAMPLING, interpolation=cv2.INTER_NEAREST
+    )
+    total, fill = np.zeros(part.shape, np.float32), cv2.fillConvexPoly
+    for quads in np.ascontiguousarray(instants):
+        drawn = empty.copy()
+        for quad, colour in zip(quads, colours, strict=True):
+            fill(drawn, quad, colour, cv2.LINE_8, FRACTION_BITS)
+        total += cv2.resize(drawn, part.shape[1::-1], interpolation=cv2.INTER_AREA)
+    image[top:bottom, left:right] = np.rint(total / len(instants)).astype(np.uint8)
 
 
 def _box(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
@@ -166,7 +165,7 @@ def _box(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
 
 
 def _shade_faces(
-    mesh: QuadMesh, camera: DrawingCamera, vertices: np.ndarray
+    mesh: QuadMesh, camera: Camera, vertices: np.ndarray
 ) -> tuple[np.ndarray, list[tuple]]:
     """Faces towards the camera, from back to front, and their colours, BGR 0 to 255."""
     corners = vertices[mesh.faces]
@@ -185,20 +184,20 @@ def _shade_faces(
     return order, [tuple(colour) for colour in colours.tolist()]
 
 
-def draw_shadow(scene: Scene, camera: DrawingCamera, vertices: np.ndarray) -> np.ndarray:
+def draw_shadow(scene: Scene, vertices: np.ndarray) -> np.ndarray:
     """The room with the person's soft shadow on floor and back wall: (H, W, 3), BGR uint8."""
     to_floor = np.maximum(vertices[:, 2], 0) / LAMP[2]
     to_wall = (vertices[:, 0] - WALL_X) / LAMP[0]
     cast = vertices - np.minimum(to_floor, to_wall)[:, None] * LAMP
-    width, height = camera.size
+    camera, (width, height) = on_host(scene.camera), image_size(scene.camera)
     mask = np.zeros((height // SHADOW_SCALE, width // SHADOW_SCALE), np.uint8)
-    in_front = np.where(camera.depths(cast)[:, None] > 0.3, camera.pixels(cast), -1e3)
+    in_front = np.where(depth(camera, cast)[:, None] > 0.3, project(camera, cast), -1e3)
     pixels = np.rint(np.clip(in_front, -1e4, 1e4) / SHADOW_SCALE).astype(np.int32)
     bones = scene.mover.mesh.bones[:, 0]
     for bone in np.unique(bones):
         cv2.fillConvexPoly(mask, cv2.convexHull(pixels[bones == bone]), 255)
     mask = cv2.blur(cv2.blur(mask, (SHADOW_BLUR, SHADOW_BLUR)), (SHADOW_BLUR, SHADOW_BLUR))
-    soft = cv2.resize(mask, camera.size, interpolation=cv2.INTER_LINEAR)
+    soft = cv2.resize(mask, (width, height), interpolation=cv2.INTER_LINEAR)
     factor = cv2.LUT(soft, np.rint(255 - SHADOW * np.arange(256)).astype(np.uint8))
     return cv2.multiply(scene.background, cv2.merge([factor] * 3), scale=1 / 255)
 
@@ -244,9 +243,7 @@ TARGET_HEIGHT_M = 1.0
 
 def camera_at(azimuth: float) -> Camera:
     """A camera that looks at a person at the world's origin, who faces +x."""
-    turn = np.deg2rad(azimuth)
-    position = (DISTANCE_M * np.cos(turn), DISTANCE_M * np.sin(turn), HEIGHT_M)
-    return look_at(position, (0.0, 0.0, TARGET_HEIGHT_M))
+    return look_around(azimuth, DISTANCE_M, HEIGHT_M, (0.0, 0.0, TARGET_HEIGHT_M))
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """A cluttered room behind the person, full of straight edges; or a bare one, without any.
 
-INPUTS: a DrawingCamera, a random generator. OUTPUTS: an image of the empty room, BGR;
+INPUTS: a Camera, a random generator. OUTPUTS: an image of the empty room, BGR;
 where its floor and back wall are.
 """
 
@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxmocap.synthetic.drawing_camera import DrawingCamera
+from jaxmocap.geometry.cameras import Camera, on_host, project
+from jaxmocap.synthetic.drawing_camera import image_size
 
 # The back wall's x, metres.
 WALL_X = -1.9
@@ -30,17 +31,16 @@ FRACTION_BITS = 4
 class Room:
     """An image of a room while it is drawn."""
 
-    camera: DrawingCamera  # that sees the room
+    camera: Camera  # that sees the room
     rng: np.random.Generator  # of what stands where
     image: np.ndarray  # (2 H, 2 W, 3) BGR uint8
 
     @classmethod
-    def furnish(cls, camera: DrawingCamera, rng: np.random.Generator) -> np.ndarray:
+    def furnish(cls, camera: Camera, rng: np.random.Generator) -> np.ndarray:
         """An image (H, W, 3), BGR uint8, of a room with everything in it."""
-        width, height = camera.size
-        room = cls(
-            camera, rng, np.full((height * OVERSAMPLING, width * OVERSAMPLING, 3), 90, np.uint8)
-        )
+        width, height = image_size(camera)
+        blank = np.full((height * OVERSAMPLING, width * OVERSAMPLING, 3), 90, np.uint8)
+        room = cls(on_host(camera), rng, blank)
         room.walls()
         room.window((-1.25, 1.2), (0.85, 1.0))
         for left in (2.0, 0.85):
@@ -55,9 +55,9 @@ class Room:
         return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
 
     @classmethod
-    def bare(cls, camera: DrawingCamera) -> np.ndarray:
+    def bare(cls, camera: Camera) -> np.ndarray:
         """An image (H, W, 3), BGR uint8, of nothing but one grey."""
-        width, height = camera.size
+        width, height = image_size(camera)
         return np.full((height, width, 3), BARE, np.uint8)
 
     def panel(self, corner: ArrayLike, u: ArrayLike, v: ArrayLike, colour: ArrayLike) -> None:
@@ -69,7 +69,7 @@ class Room:
 
     def fill(self, outline: np.ndarray, colour: ArrayLike) -> None:
         """A flat shape (N, 3)."""
-        pixels = to_fixed(self.camera.pixels(outline))
+        pixels = to_fixed(np.asarray(project(self.camera, outline)))
         paint = tuple(float(c) for c in np.clip(np.asarray(colour) * 255, 0, 255))
         cv2.fillPoly(self.image, [pixels], paint, cv2.LINE_AA, FRACTION_BITS)
 

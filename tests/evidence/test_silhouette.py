@@ -40,7 +40,7 @@ from jaxmocap.images.silhouette_grid import (
     distances,
     frontmost,
 )
-from jaxmocap.reference.hybrid import silhouette as reference
+from jaxmocap.reference.hybrid import raster as reference
 
 CELLS, LIMBS, SOFTNESS = 16, 4, 1.3
 # Silhouettes of the whole body.
@@ -95,8 +95,13 @@ def example(seed: int) -> tuple[Discs, Grid, np.ndarray]:
 @pytest.mark.parametrize("seed", range(4))
 def test_the_cost_is_the_references_cell_by_cell(seed):
     limbs, grid, visible = example(seed)
-    covered = reference.coverage(CELLS, *limbs, SOFTNESS)
-    expected = reference.coverage_cost(covered, *grid, visible.reshape(CELLS, CELLS))
+    expected = 0.0
+    for i, (row, column) in enumerate(np.ndindex(CELLS, CELLS)):
+        cell = np.array([column, row], float)
+        deepest = min(reference.signed_distance(cell, *limb) for limb in zip(*limbs, strict=True))
+        covered = 1 / (1 + np.exp(np.clip(deepest / SOFTNESS, -700, 700)))
+        probability, weight = (part[row, column] for part in grid)
+        expected += (weight * (covered * visible[i] - probability)) ** 2
     with double():
         arguments = on_device((limbs, grid, SOFTNESS, visible))
         assert float(COST(*arguments)) == pytest.approx(expected, rel=1e-9)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import double, in_double, on_device
+from references import elbow_search as reference
 from watched_arms import (
     FRONT,
     GRIPS,
@@ -35,7 +36,6 @@ from jaxmocap.hybrid import elbow_search
 from jaxmocap.hybrid.refine import search_elbows
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.reference.hybrid import pipeline
-from jaxmocap.reference.hybrid import search as reference
 
 SETTINGS = Settings(region=SIZE)
 SEARCH = SETTINGS.elbow_search

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, on_host, project
 from jaxmocap.images import foreground
 from jaxmocap.images.background_model import (
     LEAST_NOISE,
@@ -33,7 +33,7 @@ from jaxmocap.images.foreground import (
     weigh_odds,
 )
 from jaxmocap.images.regions import crop
-from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
+from jaxmocap.synthetic.drawing_camera import image_size, look_at
 from jaxmocap.synthetic.movements.motions import table_tennis
 from jaxmocap.synthetic.people.clothed_person import clothed_actor
 from jaxmocap.synthetic.renderer import Scene, render_frames
@@ -435,10 +435,10 @@ def rendered() -> tuple[np.ndarray, np.ndarray, Camera]:
 
 def bodies(scene: Scene, times: np.ndarray) -> Iterator[np.ndarray]:
     """Every face of the mesh, filled, at the middles of the exposures."""
-    lens = DrawingCamera.of(scene.camera)
+    lens = on_host(scene.camera)
     for vertices in scene.mover.vertices(times):
-        corners = np.rint(lens.pixels(vertices)[scene.mover.mesh.faces] * 16).astype(np.int32)
-        mask = np.zeros(lens.size[::-1], np.uint8)
+        corners = np.rint(project(lens, vertices)[scene.mover.mesh.faces] * 16).astype(np.int32)
+        mask = np.zeros(image_size(lens)[::-1], np.uint8)
         for corner in corners:
             cv2.fillConvexPoly(mask, corner, 1, cv2.LINE_8, 4)
         yield mask > 0

@@ -7,9 +7,9 @@ from conftest import read_calibration
 from photograph_masks import true_person_mask
 
 from bench.modelling import MeasuredPerson
+from jaxmocap.geometry.cameras import depth, on_host, project
 from jaxmocap.silhouette.modelling.measurements import girth_section
 from jaxmocap.silhouette.modelling.pictures.backdrop import PhotographError, person_mask
-from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import (
     PHOTOGRAPHS,
@@ -46,8 +46,9 @@ def test_the_four_photographs_have_their_sections_in_the_calibration(shots, slim
 def test_everybody_fits_into_every_photograph_but_for_the_legs(recordings, name):
     for who in ("tall_man", "short_woman", "broad_man"):
         person = load_rig(recordings / "person" / "person.npz", who)
-        pixels = DrawingCamera.of(camera_of(person, name)).pixels(
-            person_in_stance(person, name).vertices(np.zeros(1))[0]
+        pixels = project(
+            on_host(camera_of(person, name)),
+            person_in_stance(person, name).vertices(np.zeros(1))[0],
         )
         assert pixels[:, 0].min() > 10 and pixels[:, 0].max() < SIZE[0] - 10
         assert pixels[:, 1].min() > 10 and pixels[:, 1].max() > SIZE[1]
@@ -56,14 +57,14 @@ def test_everybody_fits_into_every_photograph_but_for_the_legs(recordings, name)
 def test_a_section_of_the_trunk_is_as_wide_as_the_person_is_seen(slim_woman):
     body, lens = (
         MeasuredPerson.of(person_in_stance(slim_woman, "front")),
-        DrawingCamera.of(camera_of(slim_woman, "front")),
+        on_host(camera_of(slim_woman, "front")),
     )
     landmarks = body.landmarks()
     waist = (0.6 * landmarks["pelvis"] + 0.4 * landmarks["neck"])[2]
-    row, column = np.rint(lens.pixels(np.array([0.0, 0.0, waist])))[::-1].astype(int)
+    row, column = np.rint(project(lens, np.array([0.0, 0.0, waist])))[::-1].astype(int)
     line = true_person_mask(slim_woman, "front")[row]
     left, right = (np.flatnonzero(~half)[0] for half in (line[column::-1], line[column:]))
-    width = (left + right - 1) * lens.depths(np.zeros(3)) / lens.matrix[0, 0]
+    width = (left + right - 1) * depth(lens, np.zeros(3)) / lens.matrix[0, 0]
     assert abs(body.trunk(waist).width - width) < 0.006
 
 

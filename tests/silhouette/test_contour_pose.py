@@ -99,7 +99,7 @@ def test_the_nearest_point_lies_between_samples():
     n /= np.linalg.norm(n, axis=-1, keepdims=True)
     with double():
         lines = lines_through(*on_device((rng.normal(size=(1, 30, 3)), n)))
-        points, _ = NEAREST(lines, contour_step.contour_of_wire(on_device(ring), 1))
+        points, _ = NEAREST(lines, contour_step.contour_of_wire(*on_device((ring, np.eye(4))), 1))
         near = np.linalg.norm(np.asarray(INCIDENCE(lines, points)), axis=-1)[0]
         every = np.linalg.norm(
             np.cross(dense[None], np.asarray(lines.directions)[0][:, None])
@@ -285,9 +285,9 @@ def test_low_pass_surfaces_lead_to_the_right_one_of_seven_lobes():
 
 
 def test_a_surface_s_step_is_traced_once_for_all_cycles():
-    contour_pose._moved_once._clear_cache()  # type: ignore[attr-defined]
+    contour_pose._move_pose._clear_cache()  # type: ignore[attr-defined]
     errors(CAMERAS[:2], ellipsoid_trial(0, (10.0, 0.02)), USUAL)
-    assert contour_pose._moved_once._cache_size() == 1  # type: ignore[attr-defined]
+    assert contour_pose._move_pose._cache_size() == 1  # type: ignore[attr-defined]
 
 
 def test_another_grid_or_harmonics_that_a_surface_lacks_are_named():

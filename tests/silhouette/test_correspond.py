@@ -11,7 +11,6 @@ from jaxmocap.body.pose import difference, retract
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import (
-    ALONG_WEIGHT,
     Contour,
     ContourPairs,
     match_pairs,
@@ -102,7 +101,7 @@ def test_a_pose_is_found_from_four_silhouettes(finder, degrees):  # noqa: F811
         actual = match_pairs(finder.find(finder.initial_shape, pose, CAMERAS), outlines)
         weights = jnp.asarray(actual.valid, jnp.float32)
         points = finder.initial_shape.points(actual.nodes)
-        pairs = (points, actual.pixels_xy, actual.normals, weights, None, ALONG_WEIGHT)
+        pairs = (points, actual.pixels_xy, actual.normals, weights, actual.nodes)
         rays = PAIRS(CAMERAS, ContourPairs(*pairs))
         pose = SOLVE(BODY, pose, rays, PoseSettings(iterations=3, deviation=0.005), prior).pose
     wrong = np.abs(np.asarray(difference(pose, truth)))

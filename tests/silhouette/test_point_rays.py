@@ -9,6 +9,7 @@ import screws
 from conftest import double, on_device, poses
 from hypothesis import given, settings
 from point_rays import on_rays
+from references import rays as naive
 
 from jaxmocap.body.kinematics import forward, jacobian
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
@@ -18,8 +19,6 @@ from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.lines import Lines, camera_lines
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.reference import kinematics as naive_kinematics
-from jaxmocap.reference.silhouette import points as naive
-from jaxmocap.reference.silhouette import pose as naive_pose
 from jaxmocap.silhouette.points import linearised_rays
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose, standard_deviations
 from jaxmocap.solvers.status import Status
@@ -236,7 +235,7 @@ def test_the_reference_finds_the_same_pose(skeleton64):
         pairs = on_rays(points, rays_to(ring(2), x, 1.0, rng))
         start = moved(truth, rng, 0.02)
         actual = solved(skeleton64, start, pairs, ALIKE).pose
-        theirs = naive.solve_pose(skeleton64, start, pairs, iterations=8)
+        theirs = naive.solve_pose(skeleton64, start, pairs, ALIKE._replace(iterations=8))
         assert np.abs(difference(Pose(*on_device(theirs)), actual)).max() < 1e-6
 
 
@@ -263,11 +262,11 @@ def test_contours_outliers_a_prior_and_limits_lead_to_the_references_pose(skelet
         prior = Prior(moved(truth, rng, 0.05), deviations)
         how = PATIENT._replace(rest=1e-9)
         actual = solved(skeleton64, start, pairs, how, prior)
-        theirs = naive_pose.solve_pose(skeleton64, start, pairs, how._replace(iterations=15), prior)
-        residuals, _ = naive_pose.contour_rows(
+        theirs = naive.solve_pose(skeleton64, start, pairs, how._replace(iterations=15), prior)
+        residuals, _ = naive.contour_rows(
             skeleton64, naive_kinematics.forward(skeleton64, theirs), pairs
         )
-        share, spread = naive_pose.shares(residuals, np.asarray(weights), how)
+        share, spread = naive.shares(residuals, np.asarray(weights), how)
         assert np.abs(difference(Pose(*on_device(theirs)), actual.pose)).max() < 1e-5
     assert theirs.angles[elbow] == pytest.approx(0.0, abs=1e-9)
     assert actual.spread == pytest.approx(spread, rel=1e-4)

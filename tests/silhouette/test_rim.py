@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from references import surfaces as naive
 from scipy.spatial import KDTree
 from test_point_rays import ring
 
@@ -19,8 +20,6 @@ from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import pose_points, skin_nodes, skin_of
 from jaxmocap.geometry.cameras import project, stack_cameras
-from jaxmocap.reference.silhouette import index_image as naive
-from jaxmocap.reference.silhouette import rim as naive_rim
 from jaxmocap.silhouette.points import contour_rays
 from jaxmocap.silhouette.surfaces.body_shape import FULL
 from jaxmocap.silhouette.surfaces.index_image import (
@@ -176,7 +175,7 @@ def test_a_bodys_outline_and_its_nodes_are_the_naive_ones(finder):
     cells, projected = projected_by(finder, bent(**FOLDED), 1)
     keys = index_image(projected.places, projected.keys, SETTINGS.size)
     ours = outer_boundary(keys, body_mask(keys))
-    theirs = naive_rim.outline(cells[:, 0], cells[:, 1], projected.depth, SETTINGS.size)
+    theirs = naive.outline(cells[:, 0], cells[:, 1], projected.depth, SETTINGS.size)
     assert len(ours.cells) > 0.95 * len(theirs) > 300
     nodes = np.array([theirs[tuple(cell)] for cell in ours.cells.tolist()])
     # A node may be another one where both are as near, to a step in depth, or on a cell's edge.
@@ -200,9 +199,9 @@ def test_what_the_rim_shows_no_limb_hides(finder, rim):
     for camera in (0, 2):
         T = np.linalg.inv(np.asarray(CAMERAS.T_cam_world[camera], float))
         shown = rim.nodes[camera][rim.valid[camera]][::8]
-        covered = naive_rim.hidden(T[:3, 3], nodes[shown], faces, 0.03)
+        covered = naive.hidden(T[:3, 3], nodes[shown], faces, 0.03)
         assert np.mean(covered) < 0.05
-        every = naive_rim.hidden(T[:3, 3], nodes[:: len(nodes) // 24], faces, 0.03)
+        every = naive.hidden(T[:3, 3], nodes[:: len(nodes) // 24], faces, 0.03)
         assert 0.1 < np.mean(every) < 0.9
 
 

@@ -98,7 +98,7 @@ def measured_shape(rng, pose, shown, **lengths):
     turns = rng.uniform(0, 2 * np.pi, nodes.shape)
     normals = np.stack([np.cos(turns), np.sin(turns)], -1).astype(np.float32)
     points = BodyPoints(*(np.asarray(part)[nodes.ravel()] for part in SURFACE.points))
-    pairs = ContourPairs(points, pixels, normals, np.ones(nodes.shape, np.float32))
+    pairs = ContourPairs(points, pixels, normals, np.ones(nodes.shape, np.float32), nodes)
     H, slope = shape_equations(BODY, cameras, pose, pairs, FIELDS.moves[nodes.ravel()], **lengths)
     return np.asarray(H, float), np.asarray(slope, float)
 

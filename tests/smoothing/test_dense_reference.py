@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import double, in_double
 from painted_motion import CAMERAS, MODEL, PERSON, pose_at, views
+from references import smoothing as reference
 
 import jaxmocap
 from jaxmocap.body.pose import Pose
@@ -16,7 +17,6 @@ from jaxmocap.evidence.keypoints import SightLines
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.reference import kinematics
-from jaxmocap.reference import smoothing as reference
 from jaxmocap.smoothing.functions import Events
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory

@@ -6,7 +6,7 @@ import pytest
 
 from bench.walkers import as_toml, learned, walks
 from jaxmocap.body.model import Model
-from jaxmocap.body.model_files import habits_of
+from jaxmocap.body.model_files import data_of
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.posture import USUAL, UsualPlaces
 from jaxmocap.evidence.terms import Measurements, posed_body
@@ -96,7 +96,7 @@ def test_the_term_is_white_about_the_usual_places():
 
 def test_the_numbers_are_those_of_the_people(recordings):
     people = sorted((recordings / "people").glob("person_*"))
-    stated, habits = habits_of("walking.toml"), learned([walks(folder) for folder in people])
+    stated, habits = data_of("walking.toml"), learned([walks(folder) for folder in people])
     for name in ("elbow", "ankle", "pelvis"):
         for key, values in getattr(habits, name)._asdict().items():
             np.testing.assert_allclose(stated[name][key], values, atol=1e-4, err_msg=name)

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import double, on_device
+from references import simplex as reference
 from scipy import optimize
 
-from jaxmocap.reference.hybrid import simplex as reference
 from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
 
 TOLERANCE = 1e-8

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.people.rigged_mesh import Rig
 from jaxmocap.synthetic.photographs import camera_of, person_in_stance
 from jaxmocap.synthetic.renderer import silhouette
@@ -12,4 +11,4 @@ def true_person_mask(rig: Rig, name: str) -> np.ndarray:
     """(H, W) bool, the pixels that show the person in a photograph."""
     person = person_in_stance(rig, name)
     vertices = person.vertices(np.zeros(1))[0]
-    return silhouette(person.mesh, DrawingCamera.of(camera_of(rig, name)), vertices)
+    return silhouette(person.mesh, camera_of(rig, name), vertices)

@@ -10,7 +10,7 @@ import pytest
 from bench.clips import displaced
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series.trc import read_trc
-from jaxmocap.synthetic.drawing_camera import DrawingCamera
+from jaxmocap.geometry.cameras import on_host, project
 from jaxmocap.synthetic.four_cameras import (
     cameras_around,
     flexion_angles,
@@ -112,7 +112,7 @@ def test_a_mask_is_where_the_person_changes_the_picture(rig):
     view = cameras_around(person, 0.3)[1]
     scene = view.scene(person, 0)
     scene.background[:] = (0, 255, 0)
-    image = exposure(scene, DrawingCamera.of(scene.camera), time)
+    image = exposure(scene, time)
     away = (image[..., 0] > 10) | (image[..., 2] > 10)
     mask = view.mask(person, time)
     assert (away & mask).sum() / (away | mask).sum() > 0.95
@@ -136,7 +136,7 @@ def test_four_synchronous_videos_and_the_truth_are_written(rig, tmp_path):
         mask = masks[video.camera_name]
         assert mask.shape == (2, 480, 640)
         # A pelvis is deep within the body, seen from anywhere.
-        x, y = np.rint(DrawingCamera.of(video.camera).pixels(points["pelvis"][0])).astype(int)
+        x, y = np.rint(project(on_host(video.camera), points["pelvis"][0])).astype(int)
         assert mask[0, y - 4 : y + 5, x - 4 : x + 5].all() and 0.02 < mask.mean() < 0.4
     with np.load(tmp_path / "truth_angles.npz") as angles:
         np.testing.assert_allclose(angles["knee_l"], flexion_angles(points)["knee_l"])

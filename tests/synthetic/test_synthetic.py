@@ -18,13 +18,12 @@ from jaxmocap.body.mass import centre_of_gravity
 from jaxmocap.body.skeleton import WINTER, Skeleton
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series.trc import read_trc
-from jaxmocap.geometry.cameras import project
+from jaxmocap.geometry.cameras import on_host, project
 from jaxmocap.synthetic import recording, renderer
-from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.splines import Spline
 from jaxmocap.synthetic.people.clothed_person import MARKERS, clothed_actor
-from jaxmocap.synthetic.people.figure import PostureChannels
+from jaxmocap.synthetic.people.figure import Posture
 from jaxmocap.synthetic.renderer import Scene, render_frames
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
@@ -95,7 +94,7 @@ def test_limbs_differ_from_the_tables_by_up_to_three_percent(performance):
 
 def swivels_deg(performance, times: np.ndarray) -> np.ndarray:
     """(T, 2) of the left and the right elbow."""
-    channels = PostureChannels.split(performance.curves(times))
+    channels = Posture.split(performance.curves(times))
     return np.rad2deg(np.stack([channels.swivel_l, channels.swivel_r], -1))
 
 
@@ -186,15 +185,15 @@ def test_splines_pass_through_their_keys_and_are_twice_smooth(values, seed):
 
 def test_the_lens_projects_as_opencv_and_the_package_do():
     camera = recording.webcam()
-    lens = DrawingCamera.of(camera)
+    lens = on_host(camera)
     points = np.random.default_rng(0).uniform((-1, -1.2, 0.3), (1, 1.2, 2.0), (50, 3))
-    rotation = cv2.Rodrigues(lens.R_cam_world)[0]
+    rotation = cv2.Rodrigues(lens.T_cam_world[:3, :3])[0]
     expected = cv2.projectPoints(
-        points, rotation, lens.translation_cam, lens.matrix, lens.distortion
+        points, rotation, lens.T_cam_world[:3, 3], lens.matrix, lens.distortion
     )[0]
-    np.testing.assert_allclose(lens.pixels(points), expected[:, 0], atol=1e-3)
+    np.testing.assert_allclose(project(lens, points), expected[:, 0], atol=1e-3)
     np.testing.assert_allclose(
-        lens.pixels(points), project(camera, points.astype(np.float32)), atol=1e-2
+        project(lens, points), project(camera, points.astype(np.float32)), atol=1e-2
     )
 
 
@@ -210,7 +209,7 @@ def test_marker_noise_stays_within_a_consumer_headsets():
 
 def test_a_person_stands_where_the_truth_says(scene):
     times = np.linspace(0.2, 5.8, 12)
-    lens = DrawingCamera.of(scene.camera)
+    lens = on_host(scene.camera)
     points = scene.mover.performance.landmarks(times)
     hits = []
     for i, frame in enumerate(render_frames(scene, times)):
@@ -219,7 +218,7 @@ def test_a_person_stands_where_the_truth_says(scene):
         )
         person = away.max(-1) > 22
         for name in ("wrist_l", "wrist_r", "elbow_l", "elbow_r", "shoulder_l", "shoulder_r"):
-            x, y = np.rint(lens.pixels(points[name][i])).astype(int)
+            x, y = np.rint(project(lens, points[name][i])).astype(int)
             # A few pixels of grace: arms are thin, and some are of the colour behind them.
             hits.append(person[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4].any())
         assert 0.03 < person.mean() < 0.5
@@ -230,7 +229,7 @@ def test_fast_hands_are_blurred_and_slow_ones_are_not(scene, monkeypatch):
     points = scene.mover.performance.landmarks(TIMES)["wrist_r"]
     speed = np.linalg.norm(np.gradient(points, 1 / 90, axis=0), axis=1)[20:-20]
     chosen = np.array([speed.argmax(), speed.argmin()]) + 20
-    pixels = np.rint(DrawingCamera.of(scene.camera).pixels(points[chosen])).astype(int)
+    pixels = np.rint(project(on_host(scene.camera), points[chosen])).astype(int)
     blurred = list(render_frames(scene, TIMES[chosen]))
     monkeypatch.setattr(renderer, "EXPOSURE_S", 1e-6)
     sharp = list(render_frames(scene, TIMES[chosen]))

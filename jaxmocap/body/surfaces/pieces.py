@@ -6,8 +6,6 @@ A viewer moves each piece by its bone's transform alone, so that every mesh is s
 pieces meet, each ends in a round cap about their joint: a bent joint stays closed.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
@@ -28,16 +26,6 @@ AROUND, CAP_RINGS = 24, 6
 RING_M = 0.02
 
 
-class Stretch(NamedTuple):
-    """The part of a limb that one bone carries."""
-
-    bone: str  # name
-    first: float  # place of its first ring on the limb's bones laid end to end, as in the table
-    last: float  # place of its last ring
-    near_cap: bool  # whether it ends in a ball about the joint at ``first``, not with the surface
-    far_cap: bool  # the same at ``last``
-
-
 def body_pieces(skeleton: Skeleton) -> dict[str, Solid]:
     """Bone -> its piece, in the bone's frame; clavicles and hips have none.
 
@@ -50,40 +38,37 @@ def body_pieces(skeleton: Skeleton) -> dict[str, Solid]:
     joints, pieces = rest_joints(skeleton), {}
     fleshed = {bone for limb in limbs for bone in limb.bones}
     for limb in limbs:
-        for stretch in stretches(limb, limb.above != "" and limb.above not in fleshed):
-            vertices, triangles = _mesh(skeleton, limb, stretch)
+        in_trunk = limb.above != "" and limb.above not in fleshed
+        for k, bone in enumerate(limb.bones):
+            vertices, triangles = _mesh(skeleton, limb, k, in_trunk)
             normals = normals_of(vertices, triangles)
-            own = vertices - joints[tree.bone(stretch.bone)]
-            pieces[stretch.bone] = Solid(own, normals, triangles)
+            pieces[bone] = Solid(vertices - joints[tree.bone(bone)], normals, triangles)
     return _plain_limbs(skeleton, [bone for bone in tree.bones if bone not in listed]) | pieces
 
 
-def stretches(limb: LoftedPart, in_trunk: bool) -> list[Stretch]:
-    """A limb's stretches from its near end, cut at its bones' joints.
+def _mesh(
+    skeleton: Skeleton, limb: LoftedPart, k: int, in_trunk: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) that a bone carries, all angles 0, from the pelvis, and triangles (F, 3).
+
+    It ends in balls about the bone's joints; at the limb's own ends with the surface.
 
     Args:
+        skeleton: of the person.
         limb: of the table.
+        k: which of its bones.
         in_trunk: it begins at its first joint, within the trunk's flesh; else with its first ring,
             as a foot does with its heel.
     """
-    parts = []
-    for k, bone in enumerate(limb.bones):
-        near_cap, far_cap = k > 0 or in_trunk, k < len(limb.bones) - 1
-        first, last = k if near_cap else limb.at[0], k + 1 if far_cap else limb.at[-1]
-        parts.append(Stretch(bone, float(first), float(last), near_cap, far_cap))
-    return parts
-
-
-def _mesh(skeleton: Skeleton, limb: LoftedPart, stretch: Stretch) -> tuple[np.ndarray, np.ndarray]:
-    """A stretch's vertices (V, 3) with all angles 0, from the pelvis, and triangles (F, 3)."""
-    outer = np.array([stretch.first, stretch.last])
+    near_cap, far_cap = k > 0 or in_trunk, k < len(limb.bones) - 1
+    outer = np.array([k if near_cap else limb.at[0], k + 1 if far_cap else limb.at[-1]], float)
     ends, _, _ = ring_frames(skeleton, limb, outer, stature_of(skeleton))
     axis = ends[1] - ends[0]
     count = max(int(np.ceil(np.linalg.norm(axis) / RING_M)), 3)
-    places = np.concatenate([outer[:1], np.linspace(stretch.first, stretch.last, count), outer[1:]])
+    places = np.concatenate([outer[:1], np.linspace(outer[0], outer[1], count), outer[1:]])
     grid = lofted_rings(skeleton, limb, places, AROUND)
-    near = _cap(grid[1], -axis)[::-1] if stretch.near_cap else grid[:1]
-    far = _cap(grid[-2], axis) if stretch.far_cap else grid[-1:]
+    near = _cap(grid[1], -axis)[::-1] if near_cap else grid[:1]
+    far = _cap(grid[-2], axis) if far_cap else grid[-1:]
     grid = np.concatenate([near, grid[1:-1], far])
     vertices = np.concatenate([grid, grid[:, :1]], 1).reshape(-1, 3)
     return vertices, facing_outwards(vertices, grid_triangles(len(grid), AROUND))

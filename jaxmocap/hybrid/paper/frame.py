@@ -5,7 +5,7 @@
     observe: regions, edges, distances (10)      hybrid.observe
     chamfer sum (13) of drawn cylinders (12)     paper.chamfer           pipeline.raster_distance
     lambda of (14), the joints' ranges           hybrid.fit.refine_arms  pipeline.refine_arm
-    downhill simplex, vmapped over both arms     solvers.simplex         simplex.minimise
+    downhill simplex, vmapped over both arms     solvers.simplex         SciPy's
     balance (5.3)                                hybrid.balance          balance.bow_on_feet
     report                                       hybrid.refine.report_of
 

@@ -3,6 +3,7 @@
 INPUTS: a skeleton, a pose, the factors. OUTPUTS: the bowed pose; float64.
 """
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -82,14 +83,7 @@ def imbalance(skeleton: Any, pose: Any) -> tuple[float, float]:
     return float(ahead), float(np.linalg.norm(outside))
 
 
-class _Sites:
-    """Points on bones: ankles and toes of both feet."""
-
-    def __init__(self, bones: list[int], at: list[float]):
-        self.bones, self.at = bones, at
-        self.offsets = np.zeros((len(bones), 3))
-
-
-def _feet(skeleton: Any) -> _Sites:
+def _feet(skeleton: Any) -> Any:
+    """Ankles and toes of both feet, as points on bones."""
     feet = [skeleton.tree.bone(f"foot_{side}") for side in "lr"]
-    return _Sites(feet + feet, [0.0, 0.0, 1.0, 1.0])
+    return SimpleNamespace(bones=feet + feet, at=[0.0, 0.0, 1.0, 1.0], offsets=np.zeros((4, 3)))

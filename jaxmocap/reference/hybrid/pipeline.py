@@ -9,10 +9,11 @@ INPUTS: a skeleton, settings, goals, the fields of both arms in a camera. OUTPUT
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.reference import cameras
-from jaxmocap.reference.hybrid import balance, ik, raster, simplex
+from jaxmocap.reference.hybrid import balance, ik, raster
 from jaxmocap.reference.kinematics import bone_vector, forward, rotate_vectors, site_positions
 
 LIMBS = ("humerus", "radius", "hand")
@@ -136,7 +137,9 @@ def refine_arm(
 
     edges = np.diag([float(own.swivel_edge)] + 3 * [float(own.other_edge)])
     first = np.vstack([np.zeros(4), edges])
-    moves, _ = simplex.minimise(cost, first, int(own.iterations))
+    # SciPy counts the first simplex as an iteration.
+    often = {"initial_simplex": first, "maxiter": int(own.iterations) + 1, "xatol": 0, "fatol": 0}
+    moves = minimize(cost, first[0], method="Nelder-Mead", options=often).x
     angles = swing(skeleton, pose, side, grip_sites, moves)[2]
     return dofs, np.clip(angles, limits[:, 0], limits[:, 1])
 

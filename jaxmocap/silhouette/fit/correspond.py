@@ -59,9 +59,9 @@ class ContourPairs(NamedTuple):
     pixels_xy: Array | np.ndarray  # (C, N, 2)
     normals: Array | np.ndarray  # (C, N, 2)
     weights: Array | np.ndarray  # (C, N), 0 for no pair
+    nodes: Array | np.ndarray  # (C, N) of the surface
     # (C * N, 3, S) of the points by drivers, see ``morph``; None without any.
     moves: Array | np.ndarray | None = None
-    along_weight: Array | float = 0.0  # of all pairs along the contour, by that across
 
 
 def match_pairs(rim: Rim, contours: Sequence[Contour]) -> Matches:
@@ -121,11 +121,11 @@ def _pad_field(part: np.ndarray, width: int) -> np.ndarray:
     return padded
 
 
-def pairs_of(cameras: Camera, pairs: ContourPairs) -> PointRays:
+def pairs_of(cameras: Camera, pairs: ContourPairs, along_weight: float = ALONG_WEIGHT) -> PointRays:
     """Pairs (C * N) of C cameras (stacked) for ``solve_pose``."""
     pixels_xy, normals, weights = (jnp.asarray(part) for part in pairs[1:4])
     lines, across = jax.vmap(contour_rays)(cameras, pixels_xy, normals)
     flat = Lines(*(part.reshape(-1, 3) for part in lines))
-    firm = jnp.broadcast_to(jnp.asarray(pairs.along_weight, weights.dtype), weights.size)
+    firm = jnp.full(weights.size, along_weight, weights.dtype)
     across = across.reshape(-1, 3)
     return PointRays(pairs.points, flat, across, weights.ravel(), firm, pairs.moves)

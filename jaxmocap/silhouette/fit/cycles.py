@@ -28,7 +28,6 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.first_pose import landmark_points
 from jaxmocap.silhouette.fit.correspond import (
-    ALONG_WEIGHT,
     Contour,
     ContourPairs,
     Matches,
@@ -47,7 +46,6 @@ from jaxmocap.silhouette.settings import Cycle, Settings
 from jaxmocap.silhouette.state import TrackedBody, TrackerConstants
 from jaxmocap.silhouette.surfaces.morph import Morph, without_followers
 from jaxmocap.silhouette.surfaces.rim import Rim
-from jaxmocap.silhouette.surfaces.shape import NodePairs
 
 # A pose has settled where its landmarks move no farther in a round, on average, metres. What
 # outlines hardly determine, as a hand's turn, moves on by more.
@@ -141,7 +139,7 @@ class FittedPose(NamedTuple):
     used: np.ndarray  # (C,) bool: cameras that counted
     matched_shares: np.ndarray  # (C,) of rim and contour that found a partner
     outlines: Outlines
-    pairs: NodePairs  # with what robust weighting leaves of their weights
+    pairs: ContourPairs  # with what robust weighting leaves of their weights
 
 
 def fit_pose(
@@ -193,12 +191,12 @@ def _run_cycle(
     pairs, shares, used = _pair_contours(constants, body, frame, rim, outlines, used, cycle.level)
     how = PoseSettings(deviation=cycle.deviation, iterations=s.iterations)
     skeleton, cameras, morph = body.shape.skeleton, constants.cameras, constants.finder.morph
-    result = fit(skeleton, cameras, pose, pairs.pairs, how, prior, frame.beside, morph)
-    weights = pairs.pairs.weights
+    result = fit(skeleton, cameras, pose, pairs, how, prior, frame.beside, morph)
+    weights = pairs.weights
     distances = np.asarray(result.distances).reshape(weights.shape)
     used = used & ~disagreeing(distances, np.asarray(weights) > 0, s.disagreement, s.agreement_m)
     robust = np.asarray(result.shares).reshape(weights.shape)
-    left = pairs._replace(pairs=pairs.pairs._replace(weights=robust * weights))
+    left = pairs._replace(weights=robust * weights)
     return FittedPose(result, used, shares, outlines, left)
 
 
@@ -210,7 +208,7 @@ def _pair_contours(
     outlines: Outlines,
     used: np.ndarray,
     level: int,
-) -> tuple[NodePairs, np.ndarray, np.ndarray]:
+) -> tuple[ContourPairs, np.ndarray, np.ndarray]:
     """Pairs of rim and contour and of inner edges; shares that matched; cameras (C,) that count."""
     s = constants.settings
     matches = match_pairs(rim, outlines.contours)
@@ -224,8 +222,8 @@ def _pair_contours(
     points = body.shape.points(matches.nodes, level)
     moves = constants.finder.moves(matches.nodes)
     pixels, normals = matches.pixels_xy, matches.normals
-    pairs = ContourPairs(points, pixels, normals, weights, moves, ALONG_WEIGHT)
-    return NodePairs(matches.nodes, pairs), shares, used
+    pairs = ContourPairs(points, pixels, normals, weights, matches.nodes, moves)
+    return pairs, shares, used
 
 
 def has_settled(
@@ -268,7 +266,7 @@ def information_without(
     body: TrackedBody,
     hidden: np.ndarray,
     pose: Pose,
-    pairs: NodePairs,
+    pairs: ContourPairs,
     measured: Measurements,
 ) -> PoseResult:
     """Hessian and slope at a pose by its pairs, without those of hidden joints (D,).
@@ -278,13 +276,13 @@ def information_without(
     s, skeleton = constants.settings, body.shape.skeleton
     moved = np.any(skeleton.tree.carries[ROOT_DOF:][hidden], 0)
     gone = moved[constants.carriers[pairs.nodes]]
-    weights = np.where(gone, np.float32(0), pairs.pairs.weights)
+    weights = np.where(gone, np.float32(0), pairs.weights)
     # The pairs have their robust weights already.
     how = PoseSettings(deviation=s.cycles[-1].deviation, reach=np.inf, iterations=0)
     flat = np.full(skeleton.costs.shape, s.predicted_deviation)
     here = combined_prior(pose, flat, constants.rest_deviations)
     beside = term_evidence(body.model, measured, s)
-    visible, morph = pairs.pairs._replace(weights=weights), constants.finder.morph
+    visible, morph = pairs._replace(weights=weights), constants.finder.morph
     return fit(skeleton, constants.cameras, pose, visible, how, here, beside, morph)
 
 

@@ -135,5 +135,4 @@ def covered_cells(pixels_xy: np.ndarray, region: Region, size: int, around: int)
 
 def _enlarge(small: Background, size: tuple[int, int]) -> Background:
     """A background at an image's width and height."""
-    parts = (small.colour, small.noise, small.certainty)
-    return Background(*(cv2.resize(part, size) for part in parts))
+    return Background(*(cv2.resize(part, size) for part in small))

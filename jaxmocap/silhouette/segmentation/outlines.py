@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.images.background_model import Background
-from jaxmocap.images.canvases import Canvas, canvas, keep_attached, silhouette_distance
+from jaxmocap.images.canvases import canvas, keep_attached, silhouette_distance
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import Contour
 from jaxmocap.silhouette.segmentation.contour import contours
@@ -48,10 +48,8 @@ def find_outlines(
     """Segment images (H, W, 3), BGR uint8 or None, from the silhouettes that are predicted."""
     size, region = settings.rim.size, Region(*map(np.asarray, rim.region))
     views = [Region(*each) for each in zip(*region, strict=True)]
-    nothing, black = np.zeros((size, size), np.float32), np.zeros((size, size, 3), np.uint8)
-    empty = Canvas(black, nothing, black, nothing + 1, nothing)
     taken = [
-        empty if image is None else canvas(image, view, size, background)
+        canvas(image, view, size, background)
         for image, view, background in zip(images, views, backgrounds, strict=True)
     ]
     start = np.stack([silhouette_distance(mask) for mask in rim.masks])
@@ -60,8 +58,7 @@ def find_outlines(
     phi = np.stack(
         [keep_attached(*each) for each in zip(np.asarray(segmentation.phi), start, strict=True)]
     )
-    if settings.sharpen:
-        phi = _sharpen_contours(images, backgrounds, phi, views)
+    phi = _sharpen_contours(images, backgrounds, phi, views)
     # Without an image there is only the prediction.
     phi[[image is None for image in images]] = -1
     segmentation = segmentation._replace(phi=phi)

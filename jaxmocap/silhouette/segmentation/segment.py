@@ -90,9 +90,6 @@ class LevelSetSettings(NamedTuple):
     motion: LevelSetMotion = LevelSetMotion()  # of the level set
     largest_log_ratio: Array | float = 3.0  # log-ratios are cut off here
     outlier_share: Array | float = 0.002  # share of the background that does not look as its model
-    # Log-ratio by which a cell far from the predicted silhouette must do better.
-    shape_prior: Array | float = 0.0
-    prior_reach: Array | float = 12.0  # how far that is, cells
     # Weight of the histograms before in those of the next frame.
     histogram_decay: Array | float = 0.9
 
@@ -140,20 +137,17 @@ def segment(
     fine = _Pixels.of(images, plan)
     coarse = _Pixels.of(jax.tree.map(downsample, images), plan)
     phi, ratio, now = jnp.clip(start, -BAND, BAND), jnp.zeros_like(start), before
-    beyond = jnp.clip(start + settings.prior_reach, -settings.prior_reach, 0.0)
-    prior = settings.shape_prior * beyond / settings.prior_reach
     for stage in plan.stages:
         pixels = coarse if stage.coarse else fine
         here = downsample(phi) / 2 if stage.coarse else phi
         now = _histograms(here, pixels, before.person.shape[-1], stage, plan)
         mixed = Histograms(*(a + b for a, b in zip(now, before, strict=True)))
         ratio = _log_ratio(mixed, pixels, settings, plan) * pixels.images.inside
-        force = ratio + (downsample(prior) if stage.coarse else prior)
         width = stage.width
         if plan.background:
             certainty = jnp.asarray(pixels.images.certainty)
             width = width + (stage.background_width - width) * certainty
-        moved = evolve(here, force, settings.motion, width, stage.steps)
+        moved = evolve(here, ratio, settings.motion, width, stage.steps)
         phi = jnp.clip(upsample(moved), -BAND, BAND) if stage.coarse else moved
     kept = Histograms(
         *(settings.histogram_decay * (a + b) for a, b in zip(before, now, strict=True))

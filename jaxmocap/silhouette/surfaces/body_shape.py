@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.body.model_files import surface_rows_of
+from jaxmocap.body.model_files import data_of
 from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton
 from jaxmocap.body.subject import rest_joints
 from jaxmocap.body.surfaces.surface import (
@@ -48,8 +48,8 @@ def surface_of_body(surface: Surface, skeleton: Skeleton, name: str) -> Surface:
 
     ``name`` is of the body's file; where that lists no ``surface`` it has all of it.
     """
-    rows = surface_rows_of(name)
-    if not rows:
+    rows = data_of(name).get("surface")
+    if rows is None:
         return surface
     joints, tree = rest_joints(skeleton), skeleton.tree
     nodes, shares = rest_nodes(surface, joints), every_share(surface.points, len(joints))

@@ -92,8 +92,7 @@ def without_followers(morph: Morph, pose: Pose) -> Pose:
 def with_followers(morph: Morph, free: Pose, skeleton: Skeleton) -> Pose:
     """The pose with what follows, within the limits: the inverse of ``without_followers``."""
     angles = free.angles + _follow_angles(morph, free.angles)
-    low, high = skeleton.limits[:, 0], skeleton.limits[:, 1]
-    return free._replace(angles=jnp.clip(angles, low, high))
+    return free._replace(angles=jnp.clip(angles, *skeleton.limits.T))
 
 
 def _follow_angles(morph: Morph, angles: Array) -> Array:

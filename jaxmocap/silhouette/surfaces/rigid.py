@@ -4,8 +4,6 @@ INPUTS: a grid of nodes in the object's frame; a pose, cameras.
 OUTPUTS: the surface and its low-passes; the rim that each camera sees.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from jax import Array
 
@@ -26,6 +24,8 @@ from jaxmocap.silhouette.surfaces.rim import (
 RIM = RimSettings(size=96, outer=128, inner=0, outwards=24, along=0.05)
 # Of nodes, at most: ``index_image`` numbers no more than twice as many.
 MOST_NODES = 60_000
+# Of low-passes, around; along, where a surface has ends, twice as many half waves.
+HARMONICS = (1, 2, 4, 8)
 # The one bone of a surface that nothing bends lies at its frame's origin.
 ORIGIN = np.zeros((1, 3))
 
@@ -38,13 +38,12 @@ class RigidSurface:
         nodes: of each low-pass and of the surface (M, 3), object's frame, metres.
     """
 
-    def __init__(self, grid: np.ndarray, harmonics: Sequence[int] = (1, 2, 4, 8)):
+    def __init__(self, grid: np.ndarray):
         """Make it as dense as rims need it.
 
         Args:
             grid: (V, U, 3) nodes in the object's frame, metres: V rings of U nodes, the ends
                 closed where the first and the last are points.
-            harmonics: around; along, where a surface has ends, twice as many half waves.
 
         Raises:
             ValueError: a grid of another shape.
@@ -55,8 +54,8 @@ class RigidSurface:
         grid = np.asarray(grid, float)
         sparse = surface_from_rest({"object": grid}, {"object": np.ones((*shape[:2], 1))}, ORIGIN)
         dense = resample_surface(sparse, ORIGIN, _spacing(grid))
-        low = [low_pass(dense, ORIGIN, each, 2 * each) for each in harmonics]
-        self.harmonics = tuple(harmonics)
+        low = [low_pass(dense, ORIGIN, each, 2 * each) for each in HARMONICS]
+        self.harmonics = HARMONICS
         self.nodes = [rest_nodes(each, ORIGIN).astype(np.float32) for each in (*low, dense)]
         self._tracer = RimTracer(dense, RIM)
 

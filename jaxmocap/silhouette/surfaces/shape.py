@@ -11,7 +11,6 @@ and the skeleton.
 
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -44,13 +43,6 @@ DEVIATION_M = 0.15
 FREEDOM = 10.0
 
 
-class NodePairs(NamedTuple):
-    """The pairs that a pose was found with."""
-
-    nodes: np.ndarray  # (C, N) of the surface
-    pairs: ContourPairs  # the same pairs, with what robust weighting leaves of their weights
-
-
 @partial(jax.jit, static_argnames="lengths")
 def shape_equations(
     skeleton: Skeleton,
@@ -69,7 +61,7 @@ def shape_equations(
     if morph is not None and pairs.moves is not None:
         gone = moved_points(pairs.points, pairs.moves, driver_values(morph, pose.angles))
         pairs = pairs._replace(points=gone)
-    rays = pairs_of(cameras, pairs._replace(moves=None, along_weight=0.0))
+    rays = pairs_of(cameras, pairs._replace(moves=None), 0.0)
     frames = forward(skeleton, pose)
     residuals, rows = linearised_rays(skeleton, frames, rays)
     shares = jnp.asarray(pairs.points.shares)[..., None, None]
@@ -131,13 +123,13 @@ class ShapeEstimator:
         skeleton: Skeleton,
         cameras: Camera,
         pose: Pose,
-        pairs: NodePairs,
+        pairs: ContourPairs,
         morph: Morph | None = None,
     ) -> None:
         """A frame: C cameras (stacked), the pose estimated by its pairs, what goes along."""
         moves = self.fields.moves[pairs.nodes.ravel()]
         self.add_equations(
-            *shape_equations(skeleton, cameras, pose, pairs.pairs, moves, morph, self._lengths)
+            *shape_equations(skeleton, cameras, pose, pairs, moves, morph, self._lengths)
         )
 
     def add_equations(self, H: Array | np.ndarray, slope: Array | np.ndarray) -> None:

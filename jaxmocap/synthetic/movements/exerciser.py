@@ -12,10 +12,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.synthetic.movements.splines import KeyStance, Spline, StanceChannels
+from jaxmocap.synthetic.movements.splines import Channels, KeyStance, Spline
 from jaxmocap.synthetic.people.figure import basis, middle_joint, unit
 from jaxmocap.synthetic.people.rigged_mesh import RiggedMesh, rotation_between, rotation_onto
-from jaxmocap.synthetic.people.shoulder_girdle import Girdle
+from jaxmocap.synthetic.people.shoulder_girdle import girdle_turn
 
 # Joint -> how far below it the skin touches the floor, metres.
 SKIN_DEPTHS_M = {
@@ -39,8 +39,8 @@ class Exerciser(RiggedMesh):
     curves: Spline  # channels of ``KeyStance`` over time
     # (2, 3) where left and right wrist are planted, world, metres; None: nowhere.
     hands: np.ndarray | None = None
-    # How far the shoulders go with raised arms; None: they stay on the chest.
-    girdle: Girdle | None = None
+    # Whether the shoulders go with raised arms, or stay on the chest.
+    girdle: bool = False
 
     def rig(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Turns (T, J, 3, 3) from rest, and positions (T, J, 3), of the joints."""
@@ -54,7 +54,7 @@ class Exerciser(RiggedMesh):
         soles = [joints[:, self.body.names.index(name), 2] - r for name, r in SKIN_DEPTHS_M.items()]
         # The skin's lowest point, smooth in time.
         lowest = -SOFT_MINIMUM_M * np.logaddexp.reduce(-np.array(soles) / SOFT_MINIMUM_M, 0)
-        return np.append(stance.place, stance.lift - lowest[:, None], -1)
+        return np.append(stance.place, (stance.lift - lowest)[:, None], -1)
 
     def rig_at(self, channels: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``rig`` by channels (T, 28), the hips' middle at places (T, 3)."""
@@ -68,11 +68,11 @@ class Exerciser(RiggedMesh):
             turned |= self._plant_arm(turned["Hips"], shoulder, hand, side, out)
         return self.chain_turns(turned, places)
 
-    def _joint_turns(self, stance: StanceChannels) -> dict[str, np.ndarray]:
+    def _joint_turns(self, stance: Channels) -> dict[str, np.ndarray]:
         """Joint -> its turn (T, 3, 3) from rest, where it differs from its parent's."""
         hips = Rotation.from_euler("ZYX", stance.turn, degrees=True).as_matrix()
         chest = hips @ Rotation.from_euler("YXZ", stance.back, degrees=True).as_matrix()
-        head = chest @ Rotation.from_euler("Y", stance.neck, degrees=True).as_matrix()
+        head = chest @ Rotation.from_euler("Y", stance.neck[:, None], degrees=True).as_matrix()
         hips, chest, head = hips @ R_FORWARD_REST, chest @ R_FORWARD_REST, head @ R_FORWARD_REST
         turned = {
             **{"Hips": hips, "Spine1": chest, "Head": head},
@@ -85,15 +85,15 @@ class Exerciser(RiggedMesh):
             turned |= self._arm(stance, turned["Spine1"], side, out)
         return turned
 
-    def _arm(self, stance: StanceChannels, chest: np.ndarray, side: str, out: float) -> dict:
+    def _arm(self, stance: Channels, chest: np.ndarray, side: str, out: float) -> dict:
         upper, elbow = np.split(getattr(stance, f"arm_{side[0].lower()}"), [3], 1)
         R = chest @ R_FORWARD_REST.T @ _ball(upper, out)
         straight, hinge = np.array([0.0, 0.0, -1.0]), np.array([0.0, -1.0, 0.0])
         lower = Rotation.from_euler("Y", -elbow, degrees=True).as_matrix() @ straight
         along = self._arm_along(side, R @ straight, np.einsum("tij,tj->ti", R, lower), R @ hinge)
-        if self.girdle is None:
+        if not self.girdle:
             return along
-        carried = self.girdle.turn(_ball(upper, out) @ straight, out)
+        carried = girdle_turn(_ball(upper, out) @ straight, out)
         return along | {side + "Shoulder": chest @ R_FORWARD_REST.T @ carried @ R_FORWARD_REST}
 
     def _arm_along(
@@ -126,7 +126,7 @@ class Exerciser(RiggedMesh):
             side + "Hand": basis(ahead - 0.1 * out * left, -across) @ basis(finger, rest_across).T
         }
 
-    def _leg(self, stance: StanceChannels, hips: np.ndarray, side: str, out: float) -> dict:
+    def _leg(self, stance: Channels, hips: np.ndarray, side: str, out: float) -> dict:
         thigh, knee, ankle = np.split(getattr(stance, f"leg_{side[0].lower()}"), [3, 4], 1)
         R = hips @ R_FORWARD_REST.T @ _ball(thigh, out)
         bent = R @ Rotation.from_euler("Y", knee, degrees=True).as_matrix()

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.synthetic.movements.exerciser import Exerciser
 from jaxmocap.synthetic.movements.splines import KeyStance, Spline
 from jaxmocap.synthetic.people.rigged_mesh import Rig
-from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 
 Keys = list[tuple[float, KeyStance]]
 # Each angle of a stance varies by up to so many degrees.
@@ -165,7 +164,7 @@ RAISES = {"overhead": overhead}
 
 
 def exercise(
-    rig: Rig, name: str, seconds: float = 3.0, seed: int = 0, girdle: Girdle | None = None
+    rig: Rig, name: str, seconds: float = 3.0, seed: int = 0, girdle: bool = False
 ) -> Exerciser:
     """Someone at one of ``EXERCISES`` or ``RAISES``, facing +x about the world's origin.
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxmocap.body.skeleton import WINTER, Skeleton
 from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.people.figure import BoneFrames, Figure, Posture, PostureChannels
+from jaxmocap.synthetic.people.figure import BoneFrames, Figure, Posture
 
 # A person's bones differ from the tables' by up to this share.
 LIMB_VARIATION = 0.03
@@ -105,7 +105,7 @@ class Performance:
 
     def bones(self, times: np.ndarray) -> BoneFrames:
         """Frames of all bones at (T,) times, seconds."""
-        return self.figure.place(PostureChannels.split(self.curves(times)))
+        return self.figure.place(Posture.split(self.curves(times)))
 
     def landmarks(self, times: np.ndarray) -> dict[str, np.ndarray]:
         """Landmark name -> (T, 3) positions in the world, metres, at (T,) times, seconds."""

@@ -5,7 +5,7 @@ continuously differentiable; a KeyStance of a whole body, and its channels for a
 """
 
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -25,22 +25,32 @@ class Spline(CubicSpline):
         return super().__call__(np.clip(times, self.x[0], self.x[-1]))
 
 
-class StanceChannels(NamedTuple):
-    """A stance over time: the channels of ``KeyStance`` as (T, n), degrees and metres."""
-
-    place: np.ndarray
-    lift: np.ndarray
-    turn: np.ndarray
-    back: np.ndarray
-    neck: np.ndarray
-    arm_l: np.ndarray
-    arm_r: np.ndarray
-    leg_l: np.ndarray
-    leg_r: np.ndarray
+class Channels(SimpleNamespace):
+    """The attributes of a posture over T instants: (T,), or (T, n) where one has n numbers."""
 
 
 @dataclass(frozen=True)
-class KeyStance:
+class KeyPosture:
+    """What a body does at one time: attributes of one number or several."""
+
+    def channels(self) -> np.ndarray:
+        """(C,) all numbers, in the order of the attributes."""
+        return np.concatenate([np.ravel(getattr(self, field.name)) for field in fields(self)])
+
+    @classmethod
+    def split(cls, values: np.ndarray) -> Channels:
+        """Channels (T, C) by their names."""
+        columns = iter(values.T)
+        return Channels(**{
+            field.name: np.stack([next(columns) for _ in field.default], 1)
+            if isinstance(field.default, tuple)
+            else next(columns)
+            for field in fields(cls)
+        })  # fmt: skip
+
+
+@dataclass(frozen=True)
+class KeyStance(KeyPosture):
     """The stance of a body at one time: degrees, metres."""
 
     # Of the hips' middle on the floor, x (ahead) and y (left).
@@ -60,10 +70,6 @@ class KeyStance:
     # The same on the right.
     leg_r: tuple[float, float, float, float, float] = (2.0, 4.0, -6.0, 4.0, 2.0)
 
-    def channels(self) -> np.ndarray:
-        """(28,) all of it."""
-        return np.concatenate([np.ravel(getattr(self, field.name)) for field in fields(self)])
-
     def mirror(self) -> "KeyStance":
         """Left and right in each other's place."""
         (x, y), (yaw, pitch, roll), (bow, side, twist) = self.place, self.turn, self.back
@@ -77,8 +83,3 @@ class KeyStance:
             leg_l=self.leg_r,
             leg_r=self.leg_l,
         )
-
-    @staticmethod
-    def split(values: np.ndarray) -> StanceChannels:
-        """Channels (T, 28) by their names."""
-        return StanceChannels(*np.split(values, [2, 3, 6, 9, 10, 14, 18, 23], 1))

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton
 from jaxmocap.body.subject import bone_vectors
+from jaxmocap.synthetic.movements.splines import Channels, KeyPosture
 
 # Shortest distance of the wrist from the shoulder, arm lengths: a folded arm would collide with
 # itself.
@@ -31,7 +32,7 @@ HEAD_STEADINESS = 0.75  # how much of the trunk's turn the head undoes, to keep 
 
 
 @dataclass(frozen=True)
-class Posture:
+class Posture(KeyPosture):
     """One key posture. Lengths in metres, angles in degrees.
 
     Arms are mirrored: ``out`` is the body's own side for either.
@@ -62,33 +63,6 @@ class Posture:
             value = np.atleast_1d(np.asarray(getattr(self, field.name), float))
             parts.append(value if field.name in metric else np.deg2rad(value))
         return np.concatenate(parts)
-
-
-class PostureChannels(NamedTuple):
-    """Posture channels over T instants, radians: the attributes of ``Posture`` as arrays."""
-
-    pelvis: np.ndarray
-    yaw: np.ndarray
-    pitch: np.ndarray
-    flexion: np.ndarray
-    twist: np.ndarray
-    bend: np.ndarray
-    gaze: np.ndarray
-    reach_l: np.ndarray
-    reach_r: np.ndarray
-    swivel_l: np.ndarray
-    swivel_r: np.ndarray
-    wrist_l: np.ndarray
-    wrist_r: np.ndarray
-
-    @classmethod
-    def split(cls, values: np.ndarray) -> "PostureChannels":
-        """Name the columns of (T, 22) values."""
-        v = values
-        return cls(
-            *(v[:, :3], v[:, 3], v[:, 4], v[:, 5], v[:, 6], v[:, 7], v[:, 8:10]),
-            *(v[:, 10:13], v[:, 13:16], v[:, 16], v[:, 17], v[:, 18:20], v[:, 20:22]),
-        )
 
 
 class BoneFrames(NamedTuple):
@@ -127,7 +101,7 @@ class Figure:
         """Length of a bone, metres."""
         return float(np.linalg.norm(self.reach(bone)))
 
-    def place(self, channels: PostureChannels) -> BoneFrames:
+    def place(self, channels: Channels) -> BoneFrames:
         """Frames of all bones.
 
         Raises:
@@ -145,9 +119,7 @@ class Figure:
         placed = [frames[name] for name in self.skeleton.tree.bones]
         return BoneFrames(np.stack([p for p, _ in placed], 1), np.stack([R for _, R in placed], 1))
 
-    def _trunk(
-        self, frames: dict, at: np.ndarray, R: np.ndarray, channels: PostureChannels
-    ) -> None:
+    def _trunk(self, frames: dict, at: np.ndarray, R: np.ndarray, channels: Channels) -> None:
         """Spine, neck and head, from the pelvis up."""
         for bone in ("spine1", "spine2", "spine3"):
             R = R @ _turns("zyx", channels.twist / 3, channels.flexion / 3, channels.bend / 3)
@@ -179,7 +151,7 @@ class Figure:
         frames[tibia] = (knee, _frame(knee - ankle, forward))
         frames[foot] = (ankle, np.broadcast_to(R_foot, (len(start), 3, 3)))
 
-    def _arm(self, frames: dict, channels: PostureChannels, side: str) -> None:
+    def _arm(self, frames: dict, channels: Channels, side: str) -> None:
         """Collarbone, upper arm, forearm and hand of one side."""
         out = 1.0 if side == "l" else -1.0
         clavicle, humerus, radius = (f"{bone}_{side}" for bone in ("clavicle", "humerus", "radius"))

@@ -11,36 +11,30 @@ end, the rest of the third, moves no joint of such a rig.
 INPUTS: where upper arms point. OUTPUTS: turns of the girdle's bones.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-# Width of the smooth onset of its movement, degrees of the arm's elevation.
+# Elevation of the arm, degrees, from which on the girdle goes along,
+SETTING_DEG = 30.0
+# and width of that onset.
 SETTING_WIDTH_DEG = 6.0
+# Degrees up, by the arm's beyond that,
+RAISED = 15 / 120
+# and back.
+DRAWN_BACK = 22 / 120
 
 
-@dataclass(frozen=True)
-class Girdle:
-    """How far a girdle goes with its arm."""
+def girdle_angles(elevation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far (...) it is up and back, by an arm's elevation (...) from hanging; degrees."""
+    beyond = SETTING_WIDTH_DEG * np.logaddexp(0.0, (elevation - SETTING_DEG) / SETTING_WIDTH_DEG)
+    return RAISED * beyond, DRAWN_BACK * beyond
 
-    setting: float = 30.0  # elevation of the arm, degrees, from which on it does
-    raised: float = 15 / 120  # degrees up, by the arm's beyond that
-    drawn_back: float = 22 / 120  # degrees back, the same
 
-    def angles(self, elevation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far (...) it is up and back, by an arm's elevation (...) from hanging; degrees."""
-        beyond = SETTING_WIDTH_DEG * np.logaddexp(
-            0.0, (elevation - self.setting) / SETTING_WIDTH_DEG
-        )
-        return self.raised * beyond, self.drawn_back * beyond
+def girdle_turn(upper: np.ndarray, out: float) -> np.ndarray:
+    """Turns (T, 3, 3) from rest, in the chest's frame: x ahead, y left, z up.
 
-    def turn(self, upper: np.ndarray, out: float) -> np.ndarray:
-        """Turns (T, 3, 3) from rest, in the chest's frame: x ahead, y left, z up.
-
-        ``upper`` (T, 3) are unit vectors along the upper arm there; ``out`` is 1 left, -1 right.
-        """
-        up, back = self.angles(np.degrees(np.arccos(np.clip(-upper[:, 2], -1, 1))))
-        return Rotation.from_euler(
-            "ZX", np.stack([out * back, out * up], -1), degrees=True
-        ).as_matrix()
+    ``upper`` (T, 3) are unit vectors along the upper arm there; ``out`` is 1 left, -1 right.
+    """
+    up, back = girdle_angles(np.degrees(np.arccos(np.clip(-upper[:, 2], -1, 1))))
+    turned = np.stack([out * back, out * up], -1)
+    return Rotation.from_euler("ZX", turned, degrees=True).as_matrix()

@@ -4,12 +4,12 @@ INPUTS: a mask, a Camera; points of the world, or pixels and a plane.
 OUTPUTS: pixels; points where rays meet a plane; how far a silhouette reaches along a line.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from jaxmocap.geometry.cameras import Camera, on_host, pixel_components, plane_components
+from jaxmocap.geometry.cameras import Camera, on_host, plane_components, project
 
 # Steps along a line on which a silhouette is looked up, metres.
 STEP_M = 0.001
@@ -26,32 +26,26 @@ class PhotographView:
     shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @cached_property
-    def _extrinsics(self) -> tuple[np.ndarray, np.ndarray]:
-        """(3, 3) and (3,) from the person's place to the camera."""
-        T = np.asarray(self.camera.T_cam_world, float)
-        return T[:3, :3], T[:3, 3] + T[:3, :3] @ self.shift
+    def _from_person(self) -> Camera:
+        """The camera, as it stands about the person's place in the front view."""
+        camera = on_host(self.camera)
+        R, t = np.split(camera.T_cam_world, [3], 1)
+        return replace(camera, T_cam_world=np.append(R, t + R @ self.shift[:, None], 1))
 
-    @cached_property
-    def _intrinsics(self) -> Camera:
-        return on_host(self.camera)
-
-    @cached_property
+    @property
     def centre(self) -> np.ndarray:
         """(3,) the camera's place as seen from the person, metres."""
-        R, shift = self._extrinsics
-        return -R.T @ shift
+        return np.asarray(self._from_person.position_world)
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """(..., 2) pixels (x, y) of (..., 3) points before the camera."""
-        R, shift = self._extrinsics
-        x, y, z = np.moveaxis(points @ R.T + shift, -1, 0)
-        return np.stack(pixel_components(self._intrinsics, x / z, y / z), -1)
+        return np.asarray(project(self._from_person, points))
 
     def rays(self, pixels_xy: np.ndarray) -> np.ndarray:
         """(..., 3) directions, world, of the rays through (..., 2) pixels."""
-        R, _ = self._extrinsics
-        x, y = plane_components(self._intrinsics, pixels_xy[..., 0], pixels_xy[..., 1])
-        return np.stack([x, y, np.ones_like(x)], -1) @ R
+        camera = self._from_person
+        x, y = plane_components(camera, pixels_xy[..., 0], pixels_xy[..., 1])
+        return np.stack([x, y, np.ones_like(x)], -1) @ camera.T_cam_world[:3, :3]
 
     def plane_points(self, pixels_xy: np.ndarray, point: np.ndarray) -> np.ndarray:
         """(..., 3) where the rays through pixels are as far ahead (x) as a point, metres."""

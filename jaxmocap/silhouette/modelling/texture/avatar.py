@@ -7,6 +7,7 @@ OUTPUTS: an Avatar; pictures of it; how far its colours are from the photographs
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from jaxmocap.body.pose import Pose
@@ -22,7 +23,6 @@ from jaxmocap.silhouette.modelling.texture.fusion import (
     close_holes,
     feathered_weight,
     gains,
-    resize_picture,
     sampled_colours,
     weighted_blur,
     wide_blend,
@@ -161,7 +161,10 @@ def _complete_picture(
 def _other_side(parts: Mapping[str, Part], name: str) -> Part:
     """What the other side shows, as if it were this one."""
     other = name[:-1] + {"l": "r", "r": "l"}[name[-1]] if name[-2:] in ("_l", "_r") else name
-    colour, weight = (resize_picture(part, parts[name][1].shape) for part in parts[other])
+    size = parts[name][1].shape[::-1]
+    colour, weight = (
+        cv2.resize(part, size, interpolation=cv2.INTER_NEAREST) for part in parts[other]
+    )
     # Patches of both sides run the same way outwards; one in the middle has its sides within.
     return (colour[:, ::-1], weight[:, ::-1]) if other == name else (colour, weight)
 

@@ -129,8 +129,3 @@ def background_colour(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """(3,) middle colour of what an image (H, W, 3) shows well beside a mask (H, W)."""
     near = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8))
     return np.ones(3) if near.all() else np.median(image[near == 0], 0)
-
-
-def resize_picture(picture: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """A picture of another height and width, each place that of one of its own."""
-    return cv2.resize(picture, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)

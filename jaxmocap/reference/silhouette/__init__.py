@@ -1,4 +1,0 @@
-"""The second paper's equations in NumPy.
-
-Begin with ``pose``.
-"""
