@@ -38,17 +38,16 @@ class BoardView:
 
 
 @dataclass(frozen=True)
-class IntrinsicsEstimate:
-    """A calibration, its residuals and its standard deviations."""
+class IntrinsicsEstimate(LensFit):
+    """A calibration by several views, and what each of them has to do with it.
+
+    Its standard deviations by least squares are as if corners erred independently.
+    """
 
     parameters: tuple[str, ...]  # names of the P values
-    lens: Intrinsics
-    rms: float  # reprojection error over all views used, pixels
     # Of the board in each view, used or not; None where there is none.
     poses: tuple[CameraPose | None, ...]
     used: tuple[bool, ...]  # which views the result rests on
-    values: np.ndarray  # (P,) pixels and plain numbers
-    std: np.ndarray  # (P,) standard deviations by least squares: as if corners erred independently
     leave_one_out: np.ndarray  # (V, P) the values with each of the V views used left out in turn
 
     @property
@@ -82,16 +81,8 @@ def estimate_intrinsics(
     poses = [_pose(view, fit.lens) for view in views]
     without = [_fit([*kept[:i], *kept[i + 1 :]], size, kind).values for i in range(len(kept))]
     left_out = np.array(without) if len(kept) > 3 else fit.values[None]
-    return IntrinsicsEstimate(
-        kind.parameters,
-        fit.lens,
-        fit.rms,
-        tuple(poses),
-        tuple(used.tolist()),
-        fit.values,
-        fit.std,
-        left_out,
-    )
+    of_views = kind.parameters, tuple(poses), tuple(used.tolist()), left_out
+    return IntrinsicsEstimate(fit.lens, fit.rms, fit.values, fit.std, *of_views)
 
 
 def consistent_views(

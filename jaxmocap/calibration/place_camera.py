@@ -23,8 +23,8 @@ from jaxmocap.calibration.extrinsics import (
     estimate_placement,
     is_wrong_way_up,
 )
+from jaxmocap.capture.video import check_size
 from jaxmocap.formats.cameras.calibration import (
-    Intrinsics,
     check_camera_writable,
     read_intrinsics,
     write_camera,
@@ -32,7 +32,6 @@ from jaxmocap.formats.cameras.calibration import (
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP
 from jaxmocap.formats.time_series.markers import read_points
-from jaxmocap.geometry.cameras import SIZE_TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -93,7 +92,7 @@ def place_camera(
     lens = read_intrinsics(intrinsics or out, camera)
     picture = Picture(path.name, path)
     photo = picture.image()
-    size_warnings = _photo_size_warnings(path, photo, lens)
+    size_warning = check_size(photo.shape[1::-1], lens.size, path, "photograph")
     names, points_world, pixels_xy, T_world_board = _target_points(path, photo, target)
     where = target.points or path
     try:
@@ -116,25 +115,12 @@ def place_camera(
     entries = lens.entries() if intrinsics is not None else {}
     write_camera(out, camera, entries | placement.entries())
     warnings = (
-        *size_warnings,
+        *([size_warning] if size_warning else []),
         *placement.warnings,
         *([advice] if advice else []),
         *_residual_warnings(placement, names),
     )
     return ExtrinsicsResult(camera, path.name, tuple(names), placement, warnings, (out, *drawings))
-
-
-def _photo_size_warnings(path: Path, photo: np.ndarray, lens: Intrinsics) -> list[str]:
-    """A warning where the photograph is a little narrower than the calibration, as for videos."""
-    size, expected = np.array(photo.shape[1::-1]), lens.size
-    if (size == expected).all():
-        return []
-    difference = (
-        f"is {size[0]} × {size[1]}, the calibration {expected[0]:g} × {expected[1]:g} pixels"
-    )
-    if (np.abs(size - expected) > SIZE_TOLERANCE * expected).any():
-        raise InputError(path, f"{difference}, expected the same camera and the same resolution")
-    return [f"{path.name} {difference}: taken as cropped on the right and at the bottom"]
 
 
 def _target_points(

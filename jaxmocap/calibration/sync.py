@@ -64,34 +64,20 @@ class VideoOffset:
     """One video's clock."""
 
     camera: str  # its name
-    stated_offset: float  # the offset in the recording, seconds
-    # Seconds to add to video time to get marker time; NaN where it is not identifiable.
-    offset: float
-    std: float  # its standard deviation, seconds; NaN likewise
+    stated_offset_s: float  # the offset in the recording
+    # To add to video time to get marker time; NaN where it is not identifiable.
+    offset_s: float
+    std_s: float  # its standard deviation; NaN likewise
     correlation: float  # of image and markers at the best lag
-    # Seconds of marker time gained for each second of video, or NaN where the recording is too
-    # short for one.
-    drift: float = float("nan")
-    drift_std: float = float("nan")  # its standard deviation
+    # Marker time gained for each second of video, or NaN where the recording is too short for one.
+    drift_s_per_s: float = float("nan")
+    drift_std_s_per_s: float = float("nan")  # its standard deviation
     reason: str = ""  # why there is no offset; empty where there is one
 
     @property
     def is_found(self) -> bool:
         """Whether there is an offset."""
         return not self.reason
-
-    def figures(self) -> dict:
-        """The same for JSON; drifts are seconds per second."""
-        return {
-            "camera": self.camera,
-            "stated_offset_s": self.stated_offset,
-            "offset_s": self.offset,
-            "std_s": self.std,
-            "correlation": self.correlation,
-            "drift_s_per_s": self.drift,
-            "drift_std_s_per_s": self.drift_std,
-            "reason": self.reason,
-        }
 
 
 @dataclass(frozen=True)
@@ -230,10 +216,7 @@ def _least_squares(flow: HandFlow, lag: float) -> tuple[float, float]:
     blocks = _blocks(flow.times)
     numerators = np.bincount(blocks, np.nansum(weights * slopes * residuals, (1, 2)))
     denominators = np.bincount(blocks, np.nansum(weights * slopes**2, (1, 2)))
-    counts = _bootstrap_counts(len(numerators))
-    return float(lag), float(
-        np.std((counts @ numerators) / np.maximum(counts @ denominators, 1e-9))
-    )
+    return float(lag), float(np.std(_redrawn(numerators, denominators)))
 
 
 def _bootstrap_std(lags: np.ndarray, costs: np.ndarray, times: np.ndarray) -> float:
@@ -241,9 +224,7 @@ def _bootstrap_std(lags: np.ndarray, costs: np.ndarray, times: np.ndarray) -> fl
     blocks, is_finite = _blocks(times), np.isfinite(costs)
     sums = np.array([np.bincount(blocks, row) for row in np.where(is_finite, costs, 0.0).sum(2)])
     counts = np.array([np.bincount(blocks, row) for row in is_finite.sum(2)])
-    draws = _bootstrap_counts(sums.shape[1])
-    best = ((sums @ draws.T) / np.maximum(counts @ draws.T, 1)).argmin(0)
-    return float(np.std(lags[best]))
+    return float(np.std(lags[_redrawn(sums, counts).argmin(0)]))
 
 
 def _blocks(times: np.ndarray) -> np.ndarray:
@@ -251,9 +232,11 @@ def _blocks(times: np.ndarray) -> np.ndarray:
     return ((times[:-1] - times[0]) / BLOCK_S).astype(int)
 
 
-def _bootstrap_counts(count: int) -> np.ndarray:
-    """(BOOTSTRAP_DRAWS, count) how often each block is drawn."""
-    return np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), BOOTSTRAP_DRAWS)
+def _redrawn(numerators: np.ndarray, denominators: np.ndarray) -> np.ndarray:
+    """(..., BOOTSTRAP_DRAWS) ratios of sums over blocks (..., K), redrawn with replacement."""
+    count = numerators.shape[-1]
+    draws = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), BOOTSTRAP_DRAWS)
+    return (numerators @ draws.T) / np.maximum(denominators @ draws.T, 1e-9)
 
 
 def combine_lags(source: VideoSource, lags_found: Sequence[StretchLag]) -> VideoOffset:
@@ -299,14 +282,14 @@ def sync_text(offsets: Sequence[VideoOffset]) -> str:
             lines.append(f"{each.camera}: {each.reason}")
             continue
         lines.append(
-            f"{each.camera}: offset = {each.offset:.4f}  (± {each.std:.4f} s, correlation "
-            f"{each.correlation:.2f}; {each.offset - each.stated_offset:+.4f} s to the stated "
-            f"{each.stated_offset:g})"
+            f"{each.camera}: offset = {each.offset_s:.4f}  (± {each.std_s:.4f} s, correlation "
+            f"{each.correlation:.2f}; {each.offset_s - each.stated_offset_s:+.4f} s to the stated "
+            f"{each.stated_offset_s:g})"
         )
-        if np.isfinite(each.drift):
+        if np.isfinite(each.drift_s_per_s):
             lines.append(
-                f"{each.camera}: the markers' clock gains {1e6 * each.drift:.0f} ± "
-                f"{1e6 * each.drift_std:.0f} µs a second on the video's; the offset is "
+                f"{each.camera}: the markers' clock gains {1e6 * each.drift_s_per_s:.0f} ± "
+                f"{1e6 * each.drift_std_s_per_s:.0f} µs a second on the video's; the offset is "
                 "that of the middle, and no field corrects a drift"
             )
     return "\n".join(lines)

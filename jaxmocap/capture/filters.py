@@ -154,16 +154,12 @@ def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
         present = np.flatnonzero(~_is_missing(positions[:, marker]))
         for first in range(0, len(present), HAMPEL_BLOCK_SAMPLES):
             rows = present[first : first + HAMPEL_BLOCK_SAMPLES]
-            outliers[rows, marker] = _is_outlier(windows[rows], positions[rows, marker])
+            middle = np.nanmedian(windows[rows], -1)
+            spread = MAD_TO_STD * np.nanmedian(np.abs(windows[rows] - middle[..., None]), -1)
+            allowed = np.maximum(HAMPEL_DEVIATIONS * spread, HAMPEL_FLOOR_M)
+            is_far = np.abs(positions[rows, marker] - middle) > allowed
+            outliers[rows, marker] = is_far.any(-1)
     return outliers
-
-
-def _is_outlier(windows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(N,) whether one of the coordinates (N, 3) is far from the median of its window (N, 3, W)."""
-    middle = np.nanmedian(windows, -1)
-    spread = MAD_TO_STD * np.nanmedian(np.abs(windows - middle[..., None]), -1)
-    allowed = np.maximum(HAMPEL_DEVIATIONS * spread, HAMPEL_FLOOR_M)
-    return np.asarray((np.abs(values - middle) > allowed).any(-1))
 
 
 def fill_gaps(times: np.ndarray, positions: np.ndarray, longest: float) -> np.ndarray:
@@ -190,21 +186,15 @@ def _hermite(
     times: np.ndarray, path: np.ndarray, present: np.ndarray, before: int, after: int
 ) -> np.ndarray:
     """(K, 3) Hermite's cubic at the samples between two present ones; a line where no slope is."""
+    from scipy.interpolate import CubicHermiteSpline
+
     row = int(np.searchsorted(present, before))
     ends = (present[max(0, row + 1 - SLOPE_SAMPLES) : row + 1], present[row + 1 :][:SLOPE_SAMPLES])
-    span = times[after] - times[before]
-    slopes = (_slope(times, path, rows, at) for rows, at in zip(ends, (before, after), strict=True))
-    first, last = (slope * span for slope in slopes)
-    s = ((times[before + 1 : after] - times[before]) / span)[:, None]
-    a, b = path[before], path[after]
-    if np.isnan(first).any() or np.isnan(last).any():
-        return a + s * (b - a)
-    return (
-        (1 + 2 * s) * (1 - s) ** 2 * a
-        + s * (1 - s) ** 2 * first
-        + s**2 * (3 - 2 * s) * b
-        + s**2 * (s - 1) * last
-    )
+    both, inside = [before, after], times[before + 1 : after]
+    slopes = [_slope(times, path, rows, at) for rows, at in zip(ends, both, strict=True)]
+    if np.isnan(slopes).any():
+        slopes = np.tile((path[after] - path[before]) / (times[after] - times[before]), (2, 1))
+    return CubicHermiteSpline(times[both], path[both], slopes)(inside)
 
 
 def _slope(times: np.ndarray, path: np.ndarray, rows: np.ndarray, at: int) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmocap.capture.checks.cameras import check_recording
 from jaxmocap.capture.timeline import check_overlap
-from jaxmocap.capture.video import FrameSource, TimedImage, check_video_size, open_video
+from jaxmocap.capture.video import FrameSource, TimedImage, check_size, open_video
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.foreground import shrink, shrunk_size
 
@@ -36,7 +36,7 @@ def open_unchecked(recording: Recording) -> tuple[list[FrameSource], tuple[str, 
     videos, warnings = [], list(recording.warnings)
     for source in recording.videos:
         video = open_video(source)
-        warning = check_video_size(video, source.camera, video.name)
+        warning = check_size(video.size, source.camera.size, video.name)
         check_overlap(recording.times, video.times, video.name)
         videos.append(video)
         warnings += [warning] if warning else []

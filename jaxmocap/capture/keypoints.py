@@ -83,12 +83,12 @@ def align_detections(detections: Detections, frames: int, first: int | None = No
     return replace(detections.at_frames(row_of), warnings=warnings)
 
 
-def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: float) -> int:
-    """Which of the people in a frame is the one whose landmarks are predicted.
+def person_costs(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: float) -> np.ndarray:
+    """How far each of a frame's people is from where landmarks are predicted, pixels.
 
-    The one with the smallest mean distance over the predicted landmarks, where each counts at most
-    as much as the gate, and as much where it was not detected: neither a swapped wrist nor a person
-    of whom little is detected decides.
+    The mean distance over the predicted landmarks, where each counts at most as much as the gate,
+    and as much where it was not detected: neither a swapped wrist nor a person of whom little is
+    detected decides.
 
     Args:
         pixels_xy: (N, P, 2) the people's points; NaN where missing.
@@ -96,21 +96,12 @@ def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: floa
         gate_px: pixels; a detection further away is not of that landmark.
 
     Returns:
-        The person's index, or -1 where nobody has two landmarks within the gate (one, where no
-        more are predicted).
+        (N,) of each; infinite for who has not two landmarks within the gate (one, where no more
+        are predicted).
     """
-    pixels_xy, predicted_xy = np.asarray(pixels_xy, float), np.asarray(predicted_xy, float)
     is_predicted = np.isfinite(predicted_xy).all(-1)
-    if not is_predicted.any() or not len(pixels_xy):
-        return -1
-    costs = _off(pixels_xy, predicted_xy, gate_px)
-    best = int(costs.argmin())
-    return best if np.isfinite(costs[best]) else -1
-
-
-def _off(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: float) -> np.ndarray:
-    """(N,) mean distances of people (N, P, 2) from what is predicted, infinite for strangers."""
-    is_predicted = np.isfinite(predicted_xy).all(-1)
+    if not is_predicted.any():
+        return np.full(len(pixels_xy), np.inf)
     distances = np.linalg.norm(pixels_xy[:, is_predicted] - predicted_xy[is_predicted], axis=-1)
     # NaN, a point that was not detected, is never near.
     near = distances <= gate_px
@@ -142,7 +133,7 @@ def select_person(keypoints: Detections, camera: Camera, points_world: np.ndarra
     for frame in np.flatnonzero(np.isfinite(depths).any(-1)):
         gate_px = PERSON_GATE_M * float(pixels_per_metre(camera, np.nanmedian(depths[frame])))
         people, predicted = keypoints.pixels_xy[frame], predicted_xy[frame]
-        both = [_off(each, predicted, gate_px) for each in (people, people[:, sides])]
+        both = [person_costs(each, predicted, gate_px) for each in (people, people[:, sides])]
         own, other = (min(float(costs.min()), gate_px) for costs in both)
         is_swapped[frame] = own > gate_px / 2 and other < own / 2
         costs = both[int(is_swapped[frame])]
@@ -208,9 +199,9 @@ def _follow_person(
         # Of somebody else who stands beside, some points may be near.
         near = (distances <= gate_px).sum(-1) >= np.isfinite(distances).sum(-1) / 2
         among = np.where(near[:, None, None], people, np.nan)
-        found = choose_person(among, last_xy, gate_px)
-        chosen[frame] = found % len(pixels_xy[frame]) if found >= 0 else -1
-        if found >= 0:
+        costs = person_costs(among, last_xy, gate_px)
+        if len(costs) and np.isfinite(costs.min()):
+            chosen[frame] = costs.argmin() % len(pixels_xy[frame])
             here = pixels_xy[frame, chosen[frame]]
             last_xy = np.where(np.isfinite(here), here, last_xy)
     return chosen

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,25 +19,25 @@ from PIL import Image
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import open_regular, read_bytes
 from jaxmocap.formats.files.writing import write_bytes
-from jaxmocap.geometry.cameras import Camera
 
 # More than 8K video has; the search for a board takes some thirty bytes for each.
 MAX_PIXELS = 50_000_000
-# What is read, as Pillow names it.
-PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "GIF", "PPM")
 # Bytes by which a file is recognised as a picture.
 SIGNATURE_BYTES = 32
+# What is read, as Pillow names it.
+PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "GIF", "PPM")
 _STANDARD_ERROR = 2
 
 
-def read_photograph(path: str | Path, camera: Camera) -> np.ndarray:
-    """Read one; InputError for no image, or one of another size than the camera's."""
+def read_photograph(
+    path: str | Path, size: Any, of: str = "as the calibration states"
+) -> np.ndarray:
+    """Read one; InputError for no image, or one of another width and height than expected."""
     image = read_picture(path)
-    width, height = (int(n) for n in np.asarray(camera.size))
-    if image.shape[:2] != (height, width):
-        size = f"{image.shape[1]} x {image.shape[0]}"
-        problem = f"found an image of {size} pixels, the calibration states {width} x {height}"
-        raise InputError(path, problem)
+    height, width = image.shape[:2]
+    if (width, height) != (expected := tuple(np.asarray(size, int).tolist())):
+        problem = f"found {width} × {height} pixels"
+        raise InputError(path, f"{problem}, expected {expected[0]} × {expected[1]} {of}")
     return image
 
 
@@ -112,14 +113,8 @@ def _silenced_decoders() -> Iterator[None]:
 
 def read_empty_room(path: Path, size: tuple[int, int]) -> np.ndarray:
     """A picture (H, W, 3), BGR uint8, of an empty room; InputError unless of the video's size."""
-    picture = read_picture(path)
-    height, width = picture.shape[:2]
-    if (width, height) != tuple(size):
-        problem = (
-            f"found {width} × {height} pixels, expected {size[0]} × {size[1]} as the video has"
-        )
-        raise InputError(path, f"{problem}: a picture of the empty room by the same camera")
-    return picture
+    of = "as the video has: a picture of the empty room by the same camera"
+    return read_photograph(path, size, of)
 
 
 def write_picture(path: str | Path, picture: np.ndarray) -> Path:

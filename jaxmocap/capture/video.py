@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -24,7 +25,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import regular_file
 from jaxmocap.formats.recordings.recording import VideoSource
 from jaxmocap.formats.time_series.tables import check_times, usual_step
-from jaxmocap.geometry.cameras import SIZE_TOLERANCE, Camera
+from jaxmocap.geometry.cameras import SIZE_TOLERANCE
 
 TimedImage = tuple[float, np.ndarray | None]
 NO_VIDEO = "is not a video"
@@ -246,17 +247,19 @@ def open_video(source: VideoSource) -> FrameSource:
     return Video(source.path, source.offset)
 
 
-def check_video_size(video: FrameSource, camera: Camera, path: str | Path) -> str | None:
-    """A warning where a video's size is not its camera's; None where it is.
+def check_size(
+    size: Sequence[int], calibrated: Any, path: str | Path, what: str = "video"
+) -> str | None:
+    """A warning where a video's or photograph's width and height are not as calibrated, or None.
 
     A few columns or rows off, it is taken as cropped on the right or at the bottom, and never
     rescaled: its pixels keep their places. InputError beyond 2 % in width or height.
     """
-    size, expected = np.array(video.size), np.asarray(camera.size, float)
-    if (size == expected).all():
+    expected = np.asarray(calibrated, float)
+    if (np.array(size) == expected).all():
         return None
     difference = (
-        f"the video is {size[0]} × {size[1]}, its calibration {expected[0]:g} × {expected[1]:g}"
+        f"the {what} is {size[0]} × {size[1]}, its calibration {expected[0]:g} × {expected[1]:g}"
     )
     if (np.abs(size - expected) > SIZE_TOLERANCE * expected).any():
         raise InputError(path, f"{difference} pixels, expected at most 2 % of difference")

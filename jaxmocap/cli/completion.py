@@ -30,14 +30,15 @@ class ShowCompletion(argparse.Action):
 
 
 class InstallCompletion(argparse.Action):
-    """Writes the script of a shell where it is looked for, and ends."""
+    """Writes the script of a shell into the user's own folder, and ends; an earlier one goes."""
 
     def __call__(self, parser, namespace, values, option_string=None):
         """Write it; the exit code is 2 where there is no such place, and 1 on a full disk."""
         try:
-            path, activation = install_completion(
-                parser, str(values) if values else current_shell()
-            )
+            shell = str(values) if values else current_shell()
+            path, activation = installation(shell)
+            check_target(path)
+            write_text(path, completion_script(parser, shell) + "\n")
         except FileError as error:
             code = 2 if isinstance(error, InputError) else 1
             parser.exit(code, f"{parser.prog}: {printable(str(error))}\n")
@@ -72,22 +73,6 @@ def current_shell() -> str:
         expected = " or ".join(f"{INSTALL} {shell}" for shell in SHELLS)
         raise InputError("$SHELL", f"found {name or 'nothing'}, expected {expected}")
     return name
-
-
-def install_completion(parser: argparse.ArgumentParser, shell: str) -> tuple[Path, str]:
-    """Write a shell's script into the user's own folder; a file of that name is replaced.
-
-    Returns:
-        The script, and what to do to activate it, one sentence or several.
-
-    Raises:
-        InputError: the folder cannot be written to.
-        OutputError: the file cannot be written, as on a full disk.
-    """
-    path, activation = installation(shell)
-    check_target(path)
-    write_text(path, completion_script(parser, shell) + "\n")
-    return path, activation
 
 
 def installation(shell: str) -> tuple[Path, str]:

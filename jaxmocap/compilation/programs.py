@@ -11,13 +11,13 @@ INPUTS: a function of arrays, a store of files. OUTPUTS: the same function, jitt
 import copy
 import hashlib
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from threading import Lock
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,6 @@ import numpy as np
 from jax import Array, export
 
 from jaxmocap.compilation.arguments import is_traced
-from jaxmocap.compilation.structures import from_json, is_of_this_code, to_json
 
 # What has a hand in tracing, beside this package.
 BUILT_ON = ("jax", "jaxlib", "numpy", "equinox", "lineax", "optimistix")
@@ -43,10 +42,6 @@ EFFORTS: dict[str, dict[str, bool | int]] = {
 }
 
 
-# Bytes that tell how long the description of a result's structure is, which a file begins with.
-LENGTH_BYTES = 4
-
-
 class Store(Protocol):
     """Where bytes are kept from one start to the next."""
 
@@ -59,32 +54,12 @@ class Store(Protocol):
         ...
 
 
-class _Kept(NamedTuple):
-    """What tracing made, for one kind of arguments."""
-
-    exported: export.Exported
-    structure: Any  # of the result
-
-
-class _Once:
-    """Makes something once, whichever thread asks first; others wait for it."""
-
-    def __init__(self, make: Callable[[], Any]):
-        self._make, self._lock, self._made = make, Lock(), None
-
-    def __call__(self) -> Any:
-        with self._lock:
-            if self._made is None:
-                self._made = self._make()
-        return self._made
-
-
 @dataclass
 class _Made:
     """What programs share that differ only in what comes first."""
 
-    # Structure, shapes and types of the arguments -> what compiles them.
-    compiled: dict[tuple, _Once]
+    # Structure, shapes and types of the arguments -> what is compiled for them.
+    compiled: dict[tuple, Future]
     # The jitted function, by the compiler's effort; what calls it within a program of its own
     # chooses that itself.
     by_itself: Any = None
@@ -138,18 +113,18 @@ class Program:
         """Shapes of the result, from arguments or from what has their shapes."""
         arguments = (*self._first, *like)
         leaves, structure = jax.tree.flatten(arguments)
-        can_keep = _store and is_of_this_code(structure)
+        can_keep = _store and _is_of_this_code(structure)
         kept = _read(*self._name_and_key(leaves, structure)) if can_keep else None
         if kept is None:
             # Not exported for this alone: it can wait until it is compiled.
             return jax.eval_shape(self.jitted, *arguments)
-        shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in kept.exported.out_avals]
-        return jax.tree.unflatten(kept.structure, shapes)
+        shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in kept.out_avals]
+        return jax.tree.unflatten(kept.out_tree, shapes)
 
-    def lower(self, *like: Any) -> Callable[[], Callable]:
-        """Traced and lowered for arguments such as these; what is returned compiles it.
+    def beside(self, *like: Any) -> Callable[[], Callable]:
+        """Traced and lowered for arguments such as these, while another thread compiles it.
 
-        Another thread may do that, since the compiler lets go of the interpreter. What it returns
+        The compiler lets go of the interpreter. What is returned waits for it, and returns what
         takes such arguments and no others. It is compiled once, for all programs with other
         arguments before.
         """
@@ -158,22 +133,14 @@ class Program:
         kind = structure, tuple((np.shape(leaf), np.dtype(leaf.dtype)) for leaf in leaves)
         if kind not in self._made.compiled:
             lowered = self._chosen().lower(*arguments)
-            self._made.compiled[kind] = _Once(lowered.compile)
-        once = self._made.compiled[kind]
-        return lambda: partial(once(), *self._first)
-
-    def beside(self, *like: Any) -> Callable[[], Callable]:
-        """The same, and another thread begins to compile it; what is returned waits for that."""
-        return _compiler().submit(self.lower(*like)).result
+            self._made.compiled[kind] = _compiler().submit(lowered.compile)
+        compiled = self._made.compiled[kind]
+        return lambda: partial(compiled.result(), *self._first)
 
     @property
     def kinds(self) -> int:
         """How many kinds of arguments this process has called it with, a compilation each."""
         return self._chosen()._cache_size()
-
-    def trace(self, *like: Any) -> jax.stages.Traced:
-        """Traced for arguments such as these."""
-        return self._chosen().trace(*self._first, *like)
 
     def _chosen(self) -> Any:
         """What is jitted: the function, or what looks up what was made of it."""
@@ -187,17 +154,15 @@ class Program:
             def restored(*arguments: Any) -> Any:
                 leaves, structure = jax.tree.flatten(arguments)
                 kept = self._look_up(leaves, structure)
-                if kept is None:
-                    return self.jitted(*arguments)
-                return jax.tree.unflatten(kept.structure, kept.exported.call(*leaves))
+                return self.jitted(*arguments) if kept is None else kept.call(*leaves)
 
             restored.__name__ = self.name
             self._made.restored = jax.jit(restored, compiler_options=options)
         return self._made.restored
 
-    def _look_up(self, leaves: list[Array], structure: Any) -> _Kept | None:
+    def _look_up(self, leaves: list[Array], structure: Any) -> export.Exported | None:
         """What an earlier start kept, or what this one makes of it; None if it cannot be kept."""
-        if not is_of_this_code(structure):
+        if not _is_of_this_code(structure):
             return None
         name, key = self._name_and_key(leaves, structure)
         return _read(name, key) or self._make(_like(leaves), structure, name, key)
@@ -209,25 +174,23 @@ class Program:
 
     def _make(
         self, like: list[jax.ShapeDtypeStruct], structure: Any, name: str, key: str
-    ) -> _Kept | None:
+    ) -> export.Exported | None:
         """What tracing makes, written there; None if JAX cannot export it."""
-        result = None
 
-        def flat(*leaves: Array) -> list[Array]:
-            nonlocal result
-            flattened, result = jax.tree.flatten(
-                self.jitted(*jax.tree.unflatten(structure, leaves))
-            )
-            return flattened
+        def flat(*leaves: Array) -> Any:
+            return self.jitted(*jax.tree.unflatten(structure, leaves))
 
+        _name_containers()
         try:
-            blob = bytes(export.export(jax.jit(flat))(*like).serialize())
-        # It calls a library by a name that JAX may change (LAPACK's products with a QR's Q).
+            blob = export.export(jax.jit(flat))(*like).serialize()
+        # It calls a library by a name that JAX may change (LAPACK's products with a QR's Q), or
+        # returns a container that has no name.
         except ValueError:
             return None
-        _write(name, key, blob, result)
+        if _store is not None:
+            _store.write(name, key, bytes(blob))
         # Read back, so that this start compiles what later ones will ask for.
-        return _Kept(export.deserialize(bytearray(blob)), result)
+        return export.deserialize(blob)
 
 
 _store: Store | None = None
@@ -284,26 +247,39 @@ def _like(leaves: list[Array]) -> list[jax.ShapeDtypeStruct]:
     ]
 
 
-def _read(name: str, key: str) -> _Kept | None:
+def _read(name: str, key: str) -> export.Exported | None:
     """What was kept by that name; None if it is not there, or not what it should be."""
     content = _store.read(name, key) if _store else None
     if content is None:
         return None
-    end = LENGTH_BYTES + int.from_bytes(content[:LENGTH_BYTES], "little")
+    _name_containers()
     try:
-        structure = from_json(content[LENGTH_BYTES:end].decode())
-        return _Kept(export.deserialize(bytearray(content[end:])), structure)
+        return export.deserialize(bytearray(content))
     # Whatever the reason, it is made again.
     except Exception:
         return None
 
 
-def _write(name: str, key: str, blob: bytes, structure: Any) -> None:
-    """Keep a program; nothing where its result has a structure that JSON cannot describe."""
-    if _store is None or (described := to_json(structure)) is None:
-        return
-    text = described.encode()
-    _store.write(name, key, len(text).to_bytes(LENGTH_BYTES, "little") + text + blob)
+def _name_containers() -> None:
+    """Let JAX write this package's NamedTuples by their names, and find them again."""
+    for kind in tuple.__subclasses__():
+        if hasattr(kind, "_fields") and kind.__module__.startswith("jaxmocap."):
+            # It refuses those that it has.
+            with suppress(ValueError):
+                name = f"{kind.__module__}:{kind.__qualname__}"
+                export.register_namedtuple_serialization(kind, serialized_name=name)
+
+
+def _is_of_this_code(structure: Any) -> bool:
+    """Whether all classes in a structure of arguments are this package's, or containers.
+
+    Of a user's own, such as a term, the code is not known: it may change from start to start.
+    """
+    kind = (structure.node_data() or (None, None))[0]
+    name = getattr(kind, "__module__", "builtins")
+    return name.partition(".")[0] in ("builtins", "jaxmocap") and all(
+        map(_is_of_this_code, structure.children())
+    )
 
 
 def _surroundings() -> tuple:

@@ -4,7 +4,7 @@ INPUTS: frames of one camera (seconds of marker time, BGR), the camera, a Motion
 OUTPUTS: an H.264 video in an MP4 file that browsers play, each frame at its own time.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from fractions import Fraction
 from pathlib import Path
 
@@ -69,7 +69,9 @@ def write_overlay(
     artist = OverlayArtist(camera, motion, targets)
     count, first, stamp, stream = 0, 0.0, -1, None
     with replacing_video(path, format="mp4", options=_MP4_OPTIONS) as file:
-        for time, canvas in artist.draw_frames(frames):
+        for time, image in frames:
+            canvas = artist.canvas(image)
+            artist.draw(canvas, time)
             if stream is None:
                 first, stream = time, _add_stream(file.container, canvas, rate)
             # Two frames of the same time would not be a valid file.
@@ -119,15 +121,6 @@ class OverlayArtist:
             rows, columns = np.minimum(image.shape[:2], self._shape)
             canvas[:rows, :columns] = image[:rows, :columns]
         return canvas
-
-    def draw_frames(
-        self, frames: Iterable[tuple[float, np.ndarray | None]]
-    ) -> Iterator[tuple[float, np.ndarray]]:
-        """Time and canvas of each frame, with the body drawn over it."""
-        for time, image in frames:
-            canvas = self.canvas(image)
-            self.draw(canvas, time)
-            yield time, canvas
 
     def draw(self, canvas: np.ndarray, time: float) -> None:
         """Draw the body at that time, in place; without a pose only the legend."""

@@ -89,10 +89,10 @@ def _summarise_report(times: np.ndarray, report: Report) -> dict:
             stage: statistics(spent, {"median": 50, "p99": 99})
             for stage, spent in report.milliseconds.items()
         },
-        "costs_px": _by_arm(report.arm_costs, {"median": 50, "p95": 95}),
+        "costs_px": _by_arm(report.arm_costs),
         "statuses": _count_statuses(times, report.statuses),
-        "elbow_deviations_m": _by_arm(report.elbow_deviations, {"median": 50, "p95": 95}),
-        "swivel_rad": _by_arm(np.abs(report.swivels), {"median": 50, "p95": 95}),
+        "elbow_deviations_m": _by_arm(report.elbow_deviations),
+        "swivel_rad": _by_arm(np.abs(report.swivels)),
         "marker_errors_m": {
             name: statistics(errors, {"p95": 95})
             for name, errors in zip(report.markers, np.asarray(report.marker_errors).T, strict=True)
@@ -125,12 +125,11 @@ def statistics(values: np.ndarray, percentiles: Mapping[str, float]) -> dict:
     return figures
 
 
-def _by_arm(values: np.ndarray, percentiles: Mapping[str, float]) -> dict:
+def _by_arm(values: np.ndarray) -> dict:
     """Statistics of (T, 2) values, left and right arm."""
     columns = np.asarray(values, float).T
-    return {
-        side: statistics(column, percentiles) for side, column in zip(SIDES, columns, strict=True)
-    }
+    percentiles = {"median": 50, "p95": 95}
+    return {side: statistics(each, percentiles) for side, each in zip(SIDES, columns, strict=True)}
 
 
 def _count_statuses(times: np.ndarray, statuses: tuple[tuple[str, ...], ...]) -> dict:

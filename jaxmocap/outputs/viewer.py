@@ -17,8 +17,8 @@ from jaxmocap.body.surfaces.pieces import body_pieces
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.outputs.ellipses import Uncertainty, uncertainty_of
-from jaxmocap.outputs.scene import BodyScene, floor_of, make_scene
+from jaxmocap.outputs.ellipses import uncertainty_of
+from jaxmocap.outputs.scene import floor_of, make_scene
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
@@ -90,7 +90,7 @@ def _log_motion(
     picture: np.ndarray | None,
 ) -> None:
     """The layout and all that it shows; see ``write_rerun``."""
-    from jaxmocap.outputs import layout, recorder, viewer_skin
+    from jaxmocap.outputs import camera_recorder, layout, recorder, viewer_skin
 
     scene, pieces = make_scene(motion), body_pieces(motion.skeleton)
     floor, uncertainty = floor_of(scene, pieces), uncertainty_of(motion)
@@ -115,25 +115,11 @@ def _log_motion(
     if without:
         recorder.log_why(stream, without)
     for name, shot in footage.items():
-        _log_footage(stream, name, shot, scene, uncertainty, targets)
-
-
-def _log_footage(
-    stream: "RecordingStream",
-    name: str,
-    shot: Footage,
-    scene: BodyScene,
-    uncertainty: Uncertainty | None,
-    targets: Mapping[str, np.ndarray],
-) -> None:
-    """One camera: its images, the body, ellipses and markers over them, its fields."""
-    from jaxmocap.outputs import camera_recorder
-
-    camera_recorder.log_camera(stream, name, shot.camera)
-    times = camera_recorder.log_images(stream, name, shot.frames, JPEG_QUALITY)
-    camera_recorder.log_outlines(stream, name, shot.camera, scene, times)
-    if uncertainty is not None:
-        camera_recorder.log_ellipses(stream, name, shot.camera, uncertainty, times)
-    camera_recorder.log_projected_targets(stream, name, shot.camera, scene.times, targets)
-    for label, images in shot.fields.items():
-        camera_recorder.log_field(stream, name, label, images)
+        camera_recorder.log_camera(stream, name, shot.camera)
+        times = camera_recorder.log_images(stream, name, shot.frames, JPEG_QUALITY)
+        camera_recorder.log_outlines(stream, name, shot.camera, scene, times)
+        if uncertainty is not None:
+            camera_recorder.log_ellipses(stream, name, shot.camera, uncertainty, times)
+        camera_recorder.log_projected_targets(stream, name, shot.camera, scene.times, targets)
+        for label, images in shot.fields.items():
+            camera_recorder.log_field(stream, name, label, images)

@@ -14,6 +14,8 @@ from typing import Any
 # A signal that comes within an import comes again after so many seconds.
 AGAIN_AFTER_S = 0.05
 IMPORTING = "<frozen importlib._bootstrap>"
+# A closed terminal, where the system tells of it.
+HANGUP = getattr(signal, "SIGHUP", signal.SIGTERM)
 
 
 class Terminated(BaseException):
@@ -29,12 +31,9 @@ def raise_on_sigterm() -> Iterator[None]:
 
     A second one does not disturb what closes. What is ignored stays so, as ``nohup`` wants it.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
 
     def end(number: int, frame: Any) -> None:
-        for each in before:
+        for each in handlers:
             signal.signal(each, signal.SIG_IGN)
         raise Terminated
 
@@ -56,15 +55,12 @@ def raise_on_sigterm() -> Iterator[None]:
     handlers: dict[int, Callable[[int, Any], Any]] = {
         signal.SIGINT: signal.default_int_handler,
         signal.SIGTERM: end,
-        getattr(signal, "SIGHUP", signal.SIGTERM): end,
+        HANGUP: end,
     }
-    taken = [each for each in handlers if signal.getsignal(each) is not signal.SIG_IGN]
-    before = {each: signal.signal(each, handle) for each in taken}
     try:
-        yield
+        with _handled(handle):
+            yield
     finally:
-        for each, handler in before.items():
-            signal.signal(each, signal.SIG_DFL if handler is None else handler)
         for number, timer in again.items():
             if timer.is_alive():
                 timer.cancel()
@@ -74,20 +70,27 @@ def raise_on_sigterm() -> Iterator[None]:
 @contextmanager
 def signals_deferred() -> Iterator[None]:
     """Within it Ctrl-C, SIGTERM and a closed terminal are deferred until its end."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
     received: list[int] = []
-    ending = {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}
-    deferred = [each for each in ending if callable(signal.getsignal(each))]
-    before = {
-        each: signal.signal(each, lambda number, frame: received.append(number))
-        for each in deferred
-    }
+    try:
+        with _handled(lambda number, frame: received.append(number)):
+            yield
+    finally:
+        for number in received[:1]:
+            signal.raise_signal(number)
+
+
+@contextmanager
+def _handled(handle: Callable[[int, Any], Any]) -> Iterator[None]:
+    """Within it signals that end a program are handled, those that are not ignored.
+
+    None are outside the main thread, which alone has signals.
+    """
+    is_main = threading.current_thread() is threading.main_thread()
+    ending = {signal.SIGINT, signal.SIGTERM, HANGUP} if is_main else ()
+    taken = [each for each in ending if signal.getsignal(each) is not signal.SIG_IGN]
+    before = {each: signal.signal(each, handle) for each in taken}
     try:
         yield
     finally:
         for each, handler in before.items():
-            signal.signal(each, handler)
-        for number in received[:1]:
-            signal.raise_signal(number)
+            signal.signal(each, signal.SIG_DFL if handler is None else handler)

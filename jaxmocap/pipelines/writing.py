@@ -121,8 +121,8 @@ def write_outputs(
     videos, warnings = open_footage(recording)
     give_back()
     files = folder.write(
-        lambda stage: write_numbers(
-            motion, recording, stage, warnings, warn=warn, up=up, opensim=opensim
+        lambda stage: write_motion(
+            motion, stage, None, None, warn, recording, warnings, up=up, opensim=opensim
         ),
         more_follows=True,
     )
@@ -141,31 +141,8 @@ def write_tracked(
 ) -> list[Path]:
     """The same into an existing folder, without any check of it."""
     videos, warnings = open_footage(recording)
-    files = write_numbers(motion, recording, folder, warnings)
+    files = write_motion(motion, folder, recording=recording, warnings=warnings)
     return files + _write_pictures(motion, recording, videos, folder, settings, progress)
-
-
-def write_numbers(
-    motion: Motion,
-    recording: Recording,
-    folder: Path,
-    warnings: Iterable[str] = (),
-    surface: Surface | None = None,
-    picture: bytes | None = None,
-    warn: Warn = ignore_warning,
-    up: str = Z_UP,
-    opensim: bool = False,
-) -> list[Path]:
-    """The motion and its report, with warnings about the recording; see ``write_motion``."""
-    motion_warnings: list[str] = []
-    files = write_motion(motion, folder, surface, picture, motion_warnings.append, up, opensim)
-    files.append(folder / "report.json")
-    recorded = {"recording": recording.path or recording.name}
-    recorded |= {"warnings": [*warnings, *motion_warnings]}
-    write_figures(summarise(motion) | recorded, files[-1])
-    for sentence in motion_warnings:
-        warn(sentence)
-    return files
 
 
 def _write_pictures(
@@ -203,30 +180,40 @@ def write_motion(
     surface: Surface | None = None,
     picture: bytes | None = None,
     warn: Warn = ignore_warning,
+    recording: Recording | None = None,
+    warnings: Iterable[str] = (),
     up: str = Z_UP,
     opensim: bool = False,
 ) -> list[Path]:
     """The motion in every format that others read; the files that were written.
 
-    ``warn`` is called with a sentence for each file that cannot hold the motion and is left out, or
-    whose angles step, and where recording.rrd will not show every sample.
+    Of a recording the report as well, with ``warnings`` about it. ``warn`` is called with a
+    sentence for each file that cannot hold the motion and is left out, or whose angles step, and
+    where recording.rrd will not show every sample.
     """
+    problems: list[str] = []
     files = [folder / name for name in MOTION_FILES]
     _write_joints(files[0], motion, up)
     sentences = {files[1]: write_mot(files[1], motion), files[2]: write_isb(files[2], motion)}
     save_motion(files[3], motion)
     for path in files[4:]:
         if (sentence := write_animation(path, motion, surface, picture)) is not None:
-            warn(sentence)
+            problems.append(sentence)
             files.remove(path)
     if opensim:
         files.append(folder / OPENSIM_FILE)
         sentences[files[-1]] = write_opensim(files[-1], motion)
     for path, of_file in sentences.items():
-        for sentence in of_file:
-            warn(f"{path.name}: {sentence}")
+        problems += [f"{path.name}: {sentence}" for sentence in of_file]
     if (step := shown_every(motion)) > 1:
-        warn(f"recording.rrd: one sample in {step}, the other files have all")
+        problems.append(f"recording.rrd: one sample in {step}, the other files have all")
+    for sentence in problems:
+        warn(sentence)
+    if recording is not None:
+        files.append(folder / "report.json")
+        recorded = {"recording": recording.path or recording.name}
+        recorded |= {"warnings": [*warnings, *problems]}
+        write_figures(summarise(motion) | recorded, files[-1])
     return files
 
 

@@ -381,7 +381,7 @@ def test_a_photograph_of_another_resolution_is_refused(folder, unplaced):
     image = cv2.imread(str(folder / "floor.png"))
     cv2.imwrite(str(folder / "floor.png"), cv2.resize(image, (1280, 960)))
     message = unplaced(*CHESS, "--pose", numbers(POSE))
-    assert "is 1280 × 960, the calibration 640 × 480 pixels" in message
+    assert "is 1280 × 960, its calibration 640 × 480 pixels" in message
 
 
 def test_a_photograph_a_little_narrower_is_taken_as_cropped_and_said(folder, capsys):

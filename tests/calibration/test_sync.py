@@ -73,10 +73,10 @@ def recorded(hands, offset: float, seed: int = 0, film=None) -> Recording:
 @pytest.mark.parametrize(("seed", "offset"), [(0, 0.5), (1, -0.5), (3, 0.0041)])
 def test_an_offset_is_found_within_five_milliseconds(seed, offset):
     (actual,) = estimate_video_offsets(recorded(waving(seed), offset, seed), search=0.6)
-    assert actual.is_found and actual.reason == "" and actual.stated_offset == 0.0
-    assert abs(actual.offset - offset) < FIVE_MS
-    assert abs(actual.offset - offset) < 4 * actual.std < 4 * FIVE_MS
-    assert actual.correlation > 0.6 and np.isnan(actual.drift)
+    assert actual.is_found and actual.reason == "" and actual.stated_offset_s == 0.0
+    assert abs(actual.offset_s - offset) < FIVE_MS
+    assert abs(actual.offset_s - offset) < 4 * actual.std_s < 4 * FIVE_MS
+    assert actual.correlation > 0.6 and np.isnan(actual.drift_s_per_s)
 
 
 def test_an_offset_that_is_stated_is_where_the_search_begins():
@@ -84,11 +84,11 @@ def test_an_offset_that_is_stated_is_where_the_search_begins():
     (source,) = recording.videos
     recording = replace(recording, videos=(replace(source, offset=0.35),))
     (actual,) = estimate_video_offsets(recording, search=0.1)
-    assert actual.stated_offset == 0.35 and abs(actual.offset - 0.4) < FIVE_MS
+    assert actual.stated_offset_s == 0.35 and abs(actual.offset_s - 0.4) < FIVE_MS
     (actual,) = estimate_video_offsets(
         replace(recording, videos=(replace(source, offset=0.2),)), search=0.1
     )
-    assert np.isnan(actual.offset) and actual.reason and not actual.is_found
+    assert np.isnan(actual.offset_s) and actual.reason and not actual.is_found
 
 
 def test_the_result_does_not_follow_the_markers_sample_clock():
@@ -97,7 +97,7 @@ def test_the_result_does_not_follow_the_markers_sample_clock():
     actual = [
         estimate_video_offsets(replace(recording, times=recording.times + shift), search=0.2)[
             0
-        ].offset
+        ].offset_s
         - shift
         for shift in (0.0, 0.4 / RATE)
     ]
@@ -129,7 +129,7 @@ def circling(times: np.ndarray) -> np.ndarray:
 )
 def test_hands_that_tell_no_offset_are_asked_for_what_would(hands, film, search, says):
     (actual,) = estimate_video_offsets(recorded(hands, 0.1, film=film), search)
-    assert np.isnan(actual.offset) and np.isnan(actual.std)
+    assert np.isnan(actual.offset_s) and np.isnan(actual.std_s)
     assert actual.reason.startswith(says)
 
 
@@ -166,13 +166,13 @@ def test_stretches_are_put_together_by_their_weights_and_tell_the_drift():
     source = recorded(still, 0.0).videos[0]
     actual = combine_lags(replace(source, offset=1.0), rows)
     fitted, covariance = np.polyfit(middles, lags, 1, w=1 / stds, cov="unscaled")
-    assert actual.drift == pytest.approx(fitted[0]) == pytest.approx(1e-4)
-    assert actual.drift_std == pytest.approx(covariance[0, 0] ** 0.5)
-    assert actual.offset == pytest.approx(1.0 + np.average(lags, weights=stds**-2))
+    assert actual.drift_s_per_s == pytest.approx(fitted[0]) == pytest.approx(1e-4)
+    assert actual.drift_std_s_per_s == pytest.approx(covariance[0, 0] ** 0.5)
+    assert actual.offset_s == pytest.approx(1.0 + np.average(lags, weights=stds**-2))
     assert actual.correlation == 0.9
     assert "gains 100 ±" in synced.sync_text([actual]), "microseconds a second"
     near = combine_lags(source, rows[:2])
-    assert np.isnan(near.drift) and near.std > (1e-6 + 4e-6) ** 0.5 / 4, "they disagree"
+    assert np.isnan(near.drift_s_per_s) and near.std_s > (1e-6 + 4e-6) ** 0.5 / 4, "they disagree"
     assert combine_lags(source, [lost]).reason == "not identifiable"
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from jaxmocap.capture import video as video_module
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import SIMULTANEOUS_S, build_timeline, check_overlap
-from jaxmocap.capture.video import MemoryVideo, Video, check_video_size, open_video
+from jaxmocap.capture.video import MemoryVideo, Video, check_size, open_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import VideoSource
 from jaxmocap.geometry.cameras import Camera
@@ -362,9 +362,9 @@ def test_a_video_must_fit_its_calibration_to_two_percent(size, outcome):
     camera = Camera.create(size, np.eye(3))
     if outcome == "refused":
         with pytest.raises(InputError, match="64 × 48, its calibration 66 × 48"):
-            check_video_size(video, camera, "v.mp4")
+            check_size(video.size, camera.size, "v.mp4")
         return
-    message = check_video_size(video, camera, "v.mp4")
+    message = check_size(video.size, camera.size, "v.mp4")
     assert (message is None) == (outcome == "fits")
     assert message is None or "not rescaled" in message
 
@@ -377,7 +377,7 @@ def test_the_real_videos_have_60_frames_at_60_hertz(recordings, number):
     np.testing.assert_allclose(video.times, np.arange(60) / 60, atol=1e-9)
     assert video.size == ((1080, 1920) if number <= 2 else (1088, 1920))
     camera = read_calibration(recordings / "balancing" / "calibration.toml")[f"cam_0{number}"]
-    message = check_video_size(video, camera, path)
+    message = check_size(video.size, camera.size, path)
     assert (message is None) == (number > 2)
     images = [image for _, image in video.frames(luma=True)]
     assert all(image is not None and image.shape == video.size[::-1] for image in images)

@@ -16,9 +16,9 @@ from small_recording import CAMERA, PLACES, small_recording, standing
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.capture.keypoints import (
     align_detections,
-    choose_person,
     marked_landmarks,
     open_keypoints,
+    person_costs,
     select_person,
 )
 from jaxmocap.capture.video import open_video
@@ -447,6 +447,12 @@ def test_a_recordings_video_opens_its_key_points(tmp_path):
 NEAR, GATE = points("COCO_17")[:, :2], 60.0
 
 
+def chosen_person(people: np.ndarray, predicted: np.ndarray) -> int:
+    """The person whose costs are lowest, -1 where all are strangers."""
+    costs = person_costs(people, predicted, GATE)
+    return int(costs.argmin()) if np.isfinite(costs).any() else -1
+
+
 @given(st.permutations(range(4)), st.integers(0, 99), st.floats(0.0, 0.6))
 def test_the_person_nearest_to_the_prediction_is_chosen_in_any_order(order, seed, lost):
     rng = np.random.default_rng(seed)
@@ -454,7 +460,7 @@ def test_the_person_nearest_to_the_prediction_is_chosen_in_any_order(order, seed
     people += rng.normal(scale=4.0, size=people.shape)
     people[rng.random(people.shape[:2]) < lost] = np.nan
     predicted = np.where(rng.random((17, 1)) < 0.7, NEAR, np.nan)
-    chosen = choose_person(people[list(order)], predicted, GATE)
+    chosen = chosen_person(people[list(order)], predicted)
     shared = np.isfinite(people[0] + predicted).all(-1).sum()
     count = np.isfinite(predicted).all(-1).sum()
     expected = order.index(0) if shared >= max(1, min(2, count)) else -1
@@ -465,21 +471,21 @@ def test_neither_a_stray_wrist_nor_a_fragment_decides():
     complete, fragment = NEAR + 10.0, np.full_like(NEAR, np.nan)
     complete[9] = [5000, 5000]
     fragment[5:7] = NEAR[5:7]
-    assert choose_person(np.stack([fragment, complete]), NEAR, GATE) == 1
-    assert choose_person(np.stack([complete, fragment]), NEAR, GATE) == 0
-    assert choose_person(fragment[None], NEAR, GATE) == 0
+    assert chosen_person(np.stack([fragment, complete]), NEAR) == 1
+    assert chosen_person(np.stack([complete, fragment]), NEAR) == 0
+    assert chosen_person(fragment[None], NEAR) == 0
 
 
 def test_nobody_is_chosen_where_nobody_or_nothing_is_predicted():
     nothing = np.full_like(NEAR, np.nan)
-    assert choose_person(NEAR[None], nothing, GATE) == -1
-    assert choose_person(nothing[None], NEAR, GATE) == -1
-    assert choose_person(np.empty((0, 17, 2)), NEAR, GATE) == -1
-    assert choose_person(NEAR[None] + [GATE + 1, 0], NEAR, GATE) == -1
-    assert choose_person(NEAR[None] + [GATE - 1, 0], NEAR, GATE) == 0
+    assert chosen_person(NEAR[None], nothing) == -1
+    assert chosen_person(nothing[None], NEAR) == -1
+    assert chosen_person(np.empty((0, 17, 2)), NEAR) == -1
+    assert chosen_person(NEAR[None] + [GATE + 1, 0], NEAR) == -1
+    assert chosen_person(NEAR[None] + [GATE - 1, 0], NEAR) == 0
     once = np.where(np.arange(17)[:, None] == 3, NEAR, np.nan)
-    assert choose_person(NEAR[None], once, GATE) == 0
-    assert choose_person(once[None], NEAR, GATE) == -1
+    assert chosen_person(NEAR[None], once) == 0
+    assert chosen_person(once[None], NEAR) == -1
 
 
 def test_markers_on_landmarks_say_who_is_tracked():

@@ -30,7 +30,7 @@ from jaxmocap.cli.setup import plan
 from jaxmocap.geometry.cameras import Camera, camera_of_fov, project
 from jaxmocap.geometry.lenses import BROWN_CONRADY, FISHEYE, LENSES
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.pipelines.planning.requirements import Requirements, fov_across_deg
+from jaxmocap.pipelines.planning.requirements import Requirements, fov_deg
 from jaxmocap.pipelines.planning.results import in_words
 from jaxmocap.pipelines.planning.subject import Subject, drawn_subject, movement_of, settings_for
 from jaxmocap.synthetic.drawing_camera import look_at
@@ -242,6 +242,6 @@ def test_a_fisheye_s_field_of_view_is_its_own():
     cameras = [
         Camera.create(size, matrix, (), np.eye(3), np.zeros(3), lens=lens) for lens in LENSES
     ]
-    found = {camera.lens: fov_across_deg(camera) for camera in cameras}
+    found = {camera.lens: fov_deg(camera, across=True) for camera in cameras}
     assert found[FISHEYE] == pytest.approx(np.degrees(1200 / 350))
     assert found[BROWN_CONRADY] == pytest.approx(np.degrees(2 * np.arctan(600 / 350)))

@@ -178,7 +178,12 @@ def draw_views(
         views = {view.name: (view, pose, use) for view, pose, use in both}
     files = []
     for number, picture in enumerate(detections.pictures, 1):
-        canvas = _add_title(detections, picture)
+        canvas = AnnotatedPicture(picture.image())
+        canvas.title(picture.name)
+        if picture.name in detections.not_found:
+            canvas.title("NO BOARD FOUND")
+        elif picture.name in detections.duplicates:
+            canvas.title("the same as an earlier one")
         if picture.name in views:
             view, pose, use = views[picture.name]
             canvas.corners(view.pixels_xy)
@@ -191,7 +196,9 @@ def draw_views(
                 canvas.residuals(view.pixels_xy, pose.residuals_xy, times if use else 1)
                 length = _BOARD_AXES_SQUARES * detections.board.square
                 canvas.axes(pose.matrix, result.lens, length, "origin")
-        files.append(write_annotated(_file(folder, number, picture), canvas))
+        # Numbered, so that files of one name from several folders do not meet.
+        stem = Path(picture.name).name.replace(picture.path.suffix, "").replace(" ", "_")
+        files.append(write_annotated(Path(folder) / f"{number:02d}_{stem}.jpg", canvas))
     if result is None:
         return files
     used = [
@@ -199,22 +206,6 @@ def draw_views(
     ]
     coverage = draw_coverage(detections.size, used, times)
     return [*files, write_annotated(Path(folder) / "coverage.jpg", coverage)]
-
-
-def _add_title(detections: BoardDetections, picture: Picture) -> AnnotatedPicture:
-    canvas = AnnotatedPicture(picture.image())
-    canvas.title(picture.name)
-    if picture.name in detections.not_found:
-        canvas.title("NO BOARD FOUND")
-    elif picture.name in detections.duplicates:
-        canvas.title("the same as an earlier one")
-    return canvas
-
-
-def _file(folder: str | Path, number: int, picture: Picture) -> Path:
-    # Numbered, so that files of one name from several folders do not meet.
-    stem = Path(picture.name).name.replace(picture.path.suffix, "").replace(" ", "_")
-    return Path(folder) / f"{number:02d}_{stem}.jpg"
 
 
 def draw_placement(

@@ -74,10 +74,26 @@ def fit_person(model: Model, start: Pose, targets: Array) -> PersonFit:
 
     ``targets`` (K, M, 3) are markers, world, metres; NaN where missing.
     """
-    first = person_of_model(model), start
-    (person, poses), _ = descend(
-        partial(_cost_of_all, model, targets), partial(_joint_step, model, targets), first
-    )
+
+    def cost_of_all(place: tuple[MarkedPerson, Pose]) -> Array:
+        person, poses = place
+        cost = partial(marker_cost, fitted_model(model, person))
+        own = jax.vmap(cost, (0, None, 0))(targets, TAILS, poses)
+        shared = jnp.concatenate([person.lengths, person.shifts.ravel()])
+        return jnp.sum(own) + jnp.sum(shared * solve_definite(usual_covariance(model), shared))
+
+    def joint_step(place: tuple[MarkedPerson, Pose], damping: Array) -> tuple[MarkedPerson, Pose]:
+        """The next place: poses eliminated, what is shared solved for, poses found again."""
+        person, poses = place
+        left, right, eliminated = _shared_equations(model, targets, person, poses, damping)
+        step, count = -solve_definite(left, right), len(LENGTHS)
+        follow, own = eliminated[..., :-1], eliminated[..., -1]
+        moves = -own - jnp.einsum("kis,s->ki", follow, step, precision=HIGHEST)
+        lengths, shifts = step[:count], step[count:].reshape(-1, 3)
+        moved = MarkedPerson(person.lengths + lengths, person.shifts + shifts)
+        return moved, jax.vmap(retract)(poses, moves)
+
+    (person, poses), _ = descend(cost_of_all, joint_step, (person_of_model(model), start))
     undamped = jnp.zeros((), model.dtype)
     precision, _, _ = _shared_equations(model, targets, person, poses, undamped)
     unit = jnp.eye(len(precision), dtype=model.dtype)
@@ -126,15 +142,6 @@ def usual_covariance(model: Model) -> Array:
     return jax.scipy.linalg.block_diag(jnp.asarray(among, model.dtype), places)
 
 
-def _cost_of_all(model: Model, targets: Array, place: tuple[MarkedPerson, Pose]) -> Array:
-    person, poses = place
-    own = jax.vmap(partial(marker_cost, fitted_model(model, person)), (0, None, 0))(
-        targets, TAILS, poses
-    )
-    shared = jnp.concatenate([person.lengths, person.shifts.ravel()])
-    return jnp.sum(own) + jnp.sum(shared * solve_definite(usual_covariance(model), shared))
-
-
 def _shared_equations(
     model: Model, targets: Array, person: MarkedPerson, poses: Pose, damping: Array
 ) -> tuple[Array, Array, Array]:
@@ -164,20 +171,6 @@ def _shared_equations(
     right = jnp.sum(pull, 0) + jnp.matmul(weights, shared, precision=HIGHEST)
     reduced = jnp.einsum("kis,kit->st", cross, eliminated, precision=HIGHEST)
     return left - reduced[:, :-1], right - reduced[:, -1], eliminated
-
-
-def _joint_step(
-    model: Model, targets: Array, place: tuple[MarkedPerson, Pose], damping: Array
-) -> tuple[MarkedPerson, Pose]:
-    """The next place: poses eliminated, what is shared solved for, poses found again."""
-    person, poses = place
-    left, right, eliminated = _shared_equations(model, targets, person, poses, damping)
-    step, count = -solve_definite(left, right), len(LENGTHS)
-    follow, own = eliminated[..., :-1], eliminated[..., -1]
-    moves = -own - jnp.einsum("kis,s->ki", follow, step, precision=HIGHEST)
-    lengths, shifts = step[:count], step[count:].reshape(-1, 3)
-    moved = MarkedPerson(person.lengths + lengths, person.shifts + shifts)
-    return moved, jax.vmap(retract)(poses, moves)
 
 
 def _by_person(model: Model, person: MarkedPerson, linear: LinearMarkers, pose: Pose) -> Array:

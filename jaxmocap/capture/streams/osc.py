@@ -18,6 +18,8 @@ import struct
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from scipy.spatial.transform import Rotation
+
 # Farther from the origin no room is, metres.
 MAX_DISTANCE_M = 100.0
 # Bundles within bundles: more is an attack, as are more messages and longer names. A datagram has
@@ -178,19 +180,9 @@ def _tracker(message: bytes, address: bytes) -> MarkerMessage:
     name, values = number.decode("ascii", "replace"), _arguments(message, 0, 3)[1]
     if b"/" + kind == _POSITION:
         return MarkerMessage((name,), _position(values))
-    return MarkerMessage((name,), None, _euler(values))
-
-
-def _euler(degrees: list[float]) -> tuple[float, float, float, float]:
-    """The quaternion of Unity's Euler angles."""
-    halves = [math.radians(math.remainder(angle, 720.0)) / 2 for angle in degrees]
-    (sx, sy, sz), (cx, cy, cz) = map(math.sin, halves), map(math.cos, halves)
-    return (
-        cy * sx * cz + sy * cx * sz,
-        sy * cx * cz - cy * sx * sz,
-        cy * cx * sz - sy * sx * cz,
-        cy * cx * cz + sy * sx * sz,
-    )
+    about_x, about_y, about_z = (math.remainder(angle, 720.0) for angle in values)
+    turn = Rotation.from_euler("YXZ", [about_y, about_x, about_z], degrees=True)
+    return MarkerMessage((name,), None, tuple(turn.as_quat().tolist()))
 
 
 def unit_quaternion(numbers: Sequence[float]) -> tuple[float, float, float, float] | None:

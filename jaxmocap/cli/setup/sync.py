@@ -5,6 +5,7 @@ The recording's file is not changed.
 """
 
 import argparse
+from dataclasses import asdict
 
 from jaxmocap.cli.command import exit_code, positive_number, report
 from jaxmocap.cli.recording_options import add_cameras, recording_of
@@ -36,6 +37,6 @@ def run(options: argparse.Namespace) -> int:
         found = f"found {options.search:g}, expected at most {MOST_S:g} seconds"
         raise InputError("--search", found)
     videos = estimate_video_offsets(recording_of(options), options.search)
-    report(options, sync_text(videos), {"videos": [video.figures() for video in videos]})
+    report(options, sync_text(videos), {"videos": [asdict(video) for video in videos]})
     count = sum(not video.is_found for video in videos)
     return exit_code(options, [f"no offset of {count} of {len(videos)} videos"] if count else [])

@@ -292,39 +292,35 @@ def _rows(armature: Armature, order: list[int], scale: float) -> Iterator[str]:
 
 
 def _joint_lines(
-    path: str | Path, armature: Armature, tips: set[int], scale: float, order: list[int]
+    path: str | Path,
+    armature: Armature,
+    tips: set[int],
+    scale: float,
+    order: list[int],
+    joint: int = 0,
+    depth: int = 0,
 ) -> Iterator[str]:
-    """The blocks of all joints; appends to ``order`` whose channels come next."""
-    children: list[list[int]] = [[] for _ in armature.parents]
-    for joint, parent in enumerate(armature.parents):
-        if parent >= 0:
-            children[parent].append(joint)
-    # Joints that are open, the innermost last, and which of their children come next.
-    around = [iter([0])]
-    while around:
-        joint, depth = next(around[-1], None), len(around) - 1
-        indent = "\t" * depth
-        if joint is None:
-            around.pop()
-            # After the root nothing is open any more.
-            yield from ["\t" * (depth - 1) + "}"] if around else []
-            continue
-        if depth >= MAX_DEPTH:
-            problem = f"joints hang more than {MAX_DEPTH} deep below one another"
-            raise BeyondFormatError(path, problem)
-        if joint in tips:
-            yield from _end_lines(indent, armature.offsets[joint] * scale)
-            continue
-        order.append(joint)
-        rotations = [f"{axis}rotation" for axis in EULER_ORDER]
-        channels = rotations if depth else [*_POSITIONS, *rotations]
-        yield f"{indent}{'JOINT' if depth else 'ROOT'} {'_'.join(armature.names[joint].split())}"
-        yield f"{indent}{{"
-        yield f"{indent}\tOFFSET {_numbers(armature.offsets[joint] * scale)}"
-        yield f"{indent}\tCHANNELS {len(channels)} {' '.join(channels)}"
-        if not children[joint]:
-            yield from _end_lines(f"{indent}\t", np.zeros(3))
-        around.append(iter(children[joint]))
+    """The block of a joint and of all below it; appends to ``order`` whose channels come next."""
+    if depth >= MAX_DEPTH:
+        problem = f"joints hang more than {MAX_DEPTH} deep below one another"
+        raise BeyondFormatError(path, problem)
+    indent, offset = "\t" * depth, armature.offsets[joint] * scale
+    if joint in tips:
+        yield from _end_lines(indent, offset)
+        return
+    order.append(joint)
+    rotations = [f"{axis}rotation" for axis in EULER_ORDER]
+    channels = rotations if depth else [*_POSITIONS, *rotations]
+    yield f"{indent}{'JOINT' if depth else 'ROOT'} {'_'.join(armature.names[joint].split())}"
+    yield f"{indent}{{"
+    yield f"{indent}\tOFFSET {_numbers(offset)}"
+    yield f"{indent}\tCHANNELS {len(channels)} {' '.join(channels)}"
+    children = [child for child, parent in enumerate(armature.parents) if parent == joint]
+    for child in children:
+        yield from _joint_lines(path, armature, tips, scale, order, child, depth + 1)
+    if not children:
+        yield from _end_lines(f"{indent}\t", np.zeros(3))
+    yield f"{indent}}}"
 
 
 def _end_lines(indent: str, offset: np.ndarray) -> list[str]:

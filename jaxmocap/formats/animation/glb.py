@@ -180,8 +180,7 @@ class Accessors:
             array = np.maximum(array / np.iinfo(dtype).max, -1.0)
         if not np.isfinite(array).all():
             raise stated.error("found what is no number")
-        array = array.reshape(count, *shape)
-        return array.swapaxes(1, 2) if len(shape) == 2 else array
+        return array.reshape(count, *shape)
 
     def _view(self, stated: JsonPart, dtype: np.dtype, count: int, size: int) -> np.ndarray:
         """(count, size) numbers as they stand in the block, nothing copied."""

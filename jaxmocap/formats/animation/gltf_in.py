@@ -52,9 +52,10 @@ def read_gltf(path: str | Path) -> Armature:
     if len(times) * len(joints) > MAX_ROTATIONS:
         problem = f"found {len(times)} samples of {len(joints)} joints"
         raise animation.error(f"{problem}, expected at most {MAX_ROTATIONS} orientations")
-    above, joints, parents = _without_still_roots(accessors, nodes, joints, parents, curves, times)
+    moves = _Moves(nodes, accessors, curves, times)
+    above, joints, parents = _without_still_roots(moves, joints, parents)
     names = tuple(nodes[node].get("name", f"joint{node}").text() for node in joints)
-    offsets, positions, R = _joint_motion(accessors, nodes, above, joints, parents, curves, times)
+    offsets, positions, R = _joint_motion(moves, above, joints, parents)
     extras = animation["extras"]
     start = extras["start"].number(LATEST_S) if extras.has("start") else 0.0
     origin = extras["origin"].numbers(3, FARTHEST_M) if extras.has("origin") else np.zeros(3)
@@ -163,25 +164,51 @@ def _curves(
     return curves
 
 
+@dataclass(frozen=True)
+class _Moves:
+    """How nodes move in their parents' frames at (T,) times."""
+
+    nodes: JsonPart
+    accessors: Accessors
+    curves: _Curves
+    times: np.ndarray
+
+    def positions(self, node: int) -> np.ndarray:
+        """(T, 3) metres."""
+        curve = self.curves.get((node, "translation"))
+        if curve is None:
+            return np.tile(_rest_pose(self.nodes[node])[0], (len(self.times), 1))
+        values = curve.values(self.accessors, 3)
+        if np.abs(values).max() > FARTHEST_M:
+            raise curve.part.error(f"found a joint farther than {FARTHEST_M:g} m from its parent")
+        if curve.is_step:
+            return values[_last_key(curve.times, self.times)]
+        return np.stack([np.interp(self.times, curve.times, column) for column in values.T], 1)
+
+    def rotations(self, node: int) -> np.ndarray:
+        """(T, 3, 3)."""
+        curve = self.curves.get((node, "rotation"))
+        if curve is None:
+            return np.broadcast_to(_rest_pose(self.nodes[node])[1], (len(self.times), 3, 3))
+        quaternions = curve.values(self.accessors, 4)
+        if np.linalg.norm(quaternions, axis=1).min() < _MIN_QUATERNION_LENGTH:
+            raise curve.part.error("found a quaternion of length 0, expected 1")
+        rotations = Rotation.from_quat(quaternions)
+        if np.array_equal(curve.times, self.times):
+            return rotations.as_matrix()
+        if curve.is_step or len(curve.times) == 1:
+            return rotations.as_matrix()[_last_key(curve.times, self.times)]
+        within = np.clip(self.times, *curve.times[[0, -1]])
+        return Slerp(curve.times, rotations)(within).as_matrix()
+
+
 def _without_still_roots(
-    accessors: Accessors,
-    nodes: JsonPart,
-    joints: list[int],
-    parents: tuple[int, ...],
-    curves: _Curves,
-    times: np.ndarray,
+    moves: _Moves, joints: list[int], parents: tuple[int, ...]
 ) -> tuple[tuple[np.ndarray, np.ndarray], list[int], tuple[int, ...]]:
     """Rotation and position of what stands still above the first joint that moves about; joints."""
-
-    def motion_of(node: int) -> tuple[np.ndarray, np.ndarray]:
-        position, R = _rest_pose(nodes[node])
-        turns = _rotations_at(accessors, curves.get((node, "rotation")), times, R)
-        places = _positions_at(accessors, curves.get((node, "translation")), times, position)
-        return turns, places
-
     R_above, above = np.eye(3), np.zeros(3)
-    while parents.count(0) == 1 and np.ptp(motion_of(joints[1])[1], axis=0).max() > MAX_SLIDE_M:
-        turns, places = motion_of(joints[0])
+    while parents.count(0) == 1 and np.ptp(moves.positions(joints[1]), axis=0).max() > MAX_SLIDE_M:
+        turns, places = moves.rotations(joints[0]), moves.positions(joints[0])
         if np.ptp(places, axis=0).max() > MAX_SLIDE_M or np.ptp(turns, axis=0).max() > MAX_SLIDE_M:
             break
         R_above, above = R_above @ turns[0], above + R_above @ places[0]
@@ -190,27 +217,22 @@ def _without_still_roots(
 
 
 def _joint_motion(
-    accessors: Accessors,
-    nodes: JsonPart,
+    moves: _Moves,
     above: tuple[np.ndarray, np.ndarray],
     joints: Sequence[int],
     parents: Sequence[int],
-    curves: _Curves,
-    times: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Offsets (J, 3), root's positions (T, 3), rotations (T, J, 3, 3) from the rest pose."""
-    offsets, positions = np.zeros((len(joints), 3)), np.zeros((len(times), 3))
-    R = np.empty((len(times), len(joints), 3, 3))
+    offsets, positions = np.zeros((len(joints), 3)), np.zeros((len(moves.times), 3))
+    R = np.empty((len(moves.times), len(joints), 3, 3))
     R_root_rest = np.empty((len(joints), 3, 3))
     for j, (node, parent) in enumerate(zip(joints, parents, strict=True)):
-        part = nodes[node]
-        rest_position, R_rest = _rest_pose(part)
-        scale = curves.get((node, "scale"))
-        if scale and np.abs(scale.values(accessors, 3) - 1).max() > MAX_SCALE_ERROR:
+        part = moves.nodes[node]
+        _, R_rest = _rest_pose(part)
+        scale = moves.curves.get((node, "scale"))
+        if scale and np.abs(scale.values(moves.accessors, 3) - 1).max() > MAX_SCALE_ERROR:
             raise part.error(f"joint {_name(part)} is scaled, which is not read")
-        local_positions = _positions_at(
-            accessors, curves.get((node, "translation")), times, rest_position
-        )
+        local_positions = moves.positions(node)
         R_up = above[0] if parent < 0 else R_root_rest[parent]
         if parent < 0:
             positions = above[1] + local_positions @ R_up.T
@@ -219,8 +241,7 @@ def _joint_motion(
         else:
             offsets[j] = R_up @ local_positions[0]
         R_root_rest[j] = R_up @ R_rest
-        local = _rotations_at(accessors, curves.get((node, "rotation")), times, R_rest)
-        R[:, j] = R_up @ local @ R_root_rest[j].T
+        R[:, j] = R_up @ moves.rotations(node) @ R_root_rest[j].T
     return offsets, positions, R
 
 
@@ -246,37 +267,6 @@ def _rest_pose(node: JsonPart) -> tuple[np.ndarray, np.ndarray]:
     if np.linalg.det(R) < 0 or np.abs(R @ R.T - np.eye(3)).max() > _MAX_SHEAR:
         raise node["matrix"].error("found a matrix that mirrors or shears, expected a rotation")
     return position, Rotation.from_matrix(R).as_matrix()
-
-
-def _positions_at(
-    accessors: Accessors, curve: _Curve | None, times: np.ndarray, rest: np.ndarray
-) -> np.ndarray:
-    """(T, 3) a joint's position in its parent's frame."""
-    if curve is None:
-        return np.tile(rest, (len(times), 1))
-    values = curve.values(accessors, 3)
-    if np.abs(values).max() > FARTHEST_M:
-        raise curve.part.error(f"found a joint farther than {FARTHEST_M:g} m from its parent")
-    if curve.is_step:
-        return values[_last_key(curve.times, times)]
-    return np.stack([np.interp(times, curve.times, column) for column in values.T], 1)
-
-
-def _rotations_at(
-    accessors: Accessors, curve: _Curve | None, times: np.ndarray, rest: np.ndarray
-) -> np.ndarray:
-    """(T, 3, 3) a joint's rotation in its parent's frame."""
-    if curve is None:
-        return np.broadcast_to(rest, (len(times), 3, 3))
-    quaternions = curve.values(accessors, 4)
-    if np.linalg.norm(quaternions, axis=1).min() < _MIN_QUATERNION_LENGTH:
-        raise curve.part.error("found a quaternion of length 0, expected 1")
-    rotations = Rotation.from_quat(quaternions)
-    if np.array_equal(curve.times, times):
-        return rotations.as_matrix()
-    if curve.is_step or len(curve.times) == 1:
-        return rotations.as_matrix()[_last_key(curve.times, times)]
-    return Slerp(curve.times, rotations)(np.clip(times, *curve.times[[0, -1]])).as_matrix()
 
 
 def _last_key(keys: np.ndarray, times: np.ndarray) -> np.ndarray:

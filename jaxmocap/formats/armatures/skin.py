@@ -112,13 +112,20 @@ def surface_skin(
     weights = np.pad(np.asarray(surface.points.shares, float), padding)
     carriers = np.pad(np.array(carrying)[np.asarray(surface.points.bones)], padding)
     carriers, weights = np.where(weights > 0, carriers, 0), weights / weights.sum(1, keepdims=True)
+    # From the body with all angles 0 to the frames that its joints have there.
+    rest, bind = rest_orientations(skeleton), np.tile(np.eye(4), (len(names), 1, 1))
+    for j, name in enumerate(names):
+        if name in skeleton.tree.bones:
+            bone = skeleton.tree.bone(name)
+            R = R_file_world @ rest[bone] @ R_file_world.T
+            bind[j, :3, :3], bind[j, :3, 3] = R, -R @ R_file_world @ joints[bone]
     return SkinnedMesh(
         vertices @ R_file_world.T,
         normals_of(vertices, mesh.triangles) @ R_file_world.T,
         mesh.triangles,
         carriers[mesh.nodes],
         weights[mesh.nodes],
-        _inverse_bind_matrices(skeleton, names, joints, R_file_world),
+        bind,
         mesh.places,
         texture,
     )
@@ -135,19 +142,6 @@ def check_texture(path: str | Path, skeleton: Skeleton, surface: Surface, textur
         size, expected = f"{stated[0]} x {stated[1]}", f"{atlas.width} x {atlas.height}"
         problem = f"a texture of {size} texels, expected {expected}, as this surface is laid out"
         raise InputError(path, problem)
-
-
-def _inverse_bind_matrices(
-    skeleton: Skeleton, names: tuple[str, ...], joints: np.ndarray, R_file_world: np.ndarray
-) -> np.ndarray:
-    """(J, 4, 4) from the body with all angles 0 to the frames that its joints have there."""
-    rest, bind = rest_orientations(skeleton), np.tile(np.eye(4), (len(names), 1, 1))
-    for j, name in enumerate(names):
-        if name in skeleton.tree.bones:
-            bone = skeleton.tree.bone(name)
-            R = R_file_world @ rest[bone] @ R_file_world.T
-            bind[j, :3, :3], bind[j, :3, 3] = R, -R @ R_file_world @ joints[bone]
-    return bind
 
 
 def _check_skin(path: str | Path, surface: Surface, joints: np.ndarray, nodes: np.ndarray) -> None:

@@ -182,14 +182,11 @@ def write_calibration(path: str | Path, cameras: dict[str, Camera]) -> None:
     """Write a calibration file with one section per camera."""
     sections = {}
     for name, camera in cameras.items():
-        T_cam_world = np.asarray(camera.T_cam_world, float)
-        sections[name] = {
-            "size": np.asarray(camera.size, float),
-            "matrix": np.asarray(camera.matrix, float),
-            "distortions": shortest(np.asarray(camera.distortion, float)),
+        size, matrix, k = (np.asarray(getattr(camera, part), float)
+                           for part in ("size", "matrix", "distortion"))  # fmt: skip
+        sections[name] = Intrinsics(size, matrix, shortest(k), camera.lens == FISHEYE).entries() | {
             "rotation": np.asarray(log(camera.T_cam_world[:3, :3]), float),
-            "translation": T_cam_world[:3, 3],
-            "fisheye": camera.lens == FISHEYE,
+            "translation": np.asarray(camera.T_cam_world[:3, 3], float),
         }
     write_sections(path, sections)
 

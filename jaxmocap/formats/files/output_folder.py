@@ -219,16 +219,15 @@ def read_list(folder: Path) -> dict[str, ListedFile]:
         return {}
     try:
         files = json.loads(read_bytes(path, MAX_LIST_BYTES))["files"]
-        return {_checked_name(name): _listed_file(**files[name]) for name in files}
+        return {
+            _checked_name(name): ListedFile(str(entry["kind"]), tuple(map(str, entry["sha256"])))
+            for name, entry in files.items()
+        }
     except InputError:
         raise
-    except (ValueError, TypeError, KeyError, RecursionError):
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         problem = "is no list of files that jaxmocap wrote, expected another folder"
         raise InputError(path, problem) from None
-
-
-def _listed_file(kind: str, sha256: list[str]) -> ListedFile:
-    return ListedFile(str(kind), tuple(map(str, sha256)))
 
 
 def _write_list(folder: Path, entries: Mapping[str, ListedFile]) -> None:

@@ -51,8 +51,13 @@ def undo_exchanges(markers: Markers) -> tuple[Markers, tuple[str, ...]]:
 
 def _exchanges(times: np.ndarray, positions: np.ndarray) -> list[tuple[int, int, int]]:
     """(row, marker, other) of each exchange, the row the first afterwards, in order of time."""
-    leaps = {i: rows for i in range(positions.shape[1]) if len(rows := _leaps(times, positions, i))}
-    found = []
+    # Rows to which a marker leaps from its last one.
+    leaps, found = {}, []
+    for i in range(positions.shape[1]):
+        rows = np.flatnonzero(np.isfinite(positions[:, i]).all(-1))
+        far = np.linalg.norm(np.diff(positions[rows, i], axis=0), axis=-1)
+        if len(leaped := rows[1:][far > _longest_steps(times[rows])]):
+            leaps[i] = leaped
     for i, j in combinations(leaps, 2):
         rows = np.flatnonzero(np.isfinite(positions[:, [i, j]]).all((1, 2)))
         pairs, allowed = positions[rows][:, [i, j]], _longest_steps(times[rows])
@@ -64,13 +69,6 @@ def _exchanges(times: np.ndarray, positions: np.ndarray) -> list[tuple[int, int,
             first = of_both[np.searchsorted(of_both, rows[k], side="right")]
             found.append((int(first), i, j))
     return sorted(found)
-
-
-def _leaps(times: np.ndarray, positions: np.ndarray, marker: int) -> np.ndarray:
-    """Rows to which a marker leaps from its last one."""
-    rows = np.flatnonzero(np.isfinite(positions[:, marker]).all(-1))
-    far = np.linalg.norm(np.diff(positions[rows, marker], axis=0), axis=-1)
-    return rows[1:][far > _longest_steps(times[rows])]
 
 
 def _longest_steps(times: np.ndarray) -> np.ndarray:

@@ -5,8 +5,7 @@ The only door to onnxruntime.
 INPUTS: an ``.onnx`` file; images with the box of the person. OUTPUTS: the model's points.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ import numpy as np
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoint_models import MODELS
 from jaxmocap.images.crops import crop_image
-from jaxmocap.pipelines.keypoints.detect import Detect, Detector
+from jaxmocap.pipelines.keypoints.detect import Detector
 
 # What these networks are trained with: RGB, 0 to 255.
 MEAN = np.array([123.675, 116.28, 103.53], np.float32)
@@ -53,14 +52,22 @@ def onnx_detector(path: Path) -> Detector:
         expected = f"expected one of {', '.join(map(str, MODEL_OF_COUNT))}"
         raise InputError(path, f"found {outputs[0].shape[1]} points, {expected}")
     size = shape[3], shape[2]
-    bins_per_pixel = bins[0] / size[0], bins[1] / size[1]
+    bins_per_pixel, count = (bins[0] / size[0], bins[1] / size[1]), len(MODELS[model])
 
-    @contextmanager
-    def opened() -> Iterator[Detect]:
-        count = len(MODELS[model])
-        yield lambda image, box: _detect_person(session, image, box, size, bins_per_pixel, count)
+    def detect(image: np.ndarray, box: np.ndarray) -> np.ndarray | None:
+        """(K, 3) pixels and confidences of the first points; None where nobody is."""
+        crop = crop_image(image, box, size)
+        pixels = np.moveaxis((crop.image[..., ::-1] - MEAN) / DEVIATION, -1, 0)[None]
+        found = session.run(None, {inputs[0].name: pixels.astype(DTYPES[inputs[0].type])})
+        along = [np.asarray(part, np.float32)[0, :count] for part in found]
+        confidence = np.minimum(*(part.max(-1) for part in along))
+        if confidence.max() < LEAST_CONFIDENCE:
+            return None
+        places = [part.argmax(-1) / n for part, n in zip(along, bins_per_pixel, strict=True)]
+        points = crop.pixels_of(np.stack(places, -1))
+        return np.column_stack([points, np.clip(confidence, 0, 1)])
 
-    return Detector(model, opened)
+    return Detector(model, lambda: nullcontext(detect))
 
 
 def _session(path: Path) -> Any:
@@ -75,27 +82,3 @@ def _session(path: Path) -> Any:
     except Exception as error:
         first = str(error).strip().splitlines()[0]
         raise InputError(path, f"cannot be read as ONNX ({first})") from None
-
-
-def _detect_person(
-    session: Any,
-    image: np.ndarray,
-    box: np.ndarray,
-    size: tuple[int, int],
-    bins_per_pixel: tuple[float, float],
-    count: int,
-) -> np.ndarray | None:
-    """(K, 3) pixels and confidences of the first K = ``count`` points of the person in a box.
-
-    None where nobody is.
-    """
-    crop, (input_,) = crop_image(image, box, size), session.get_inputs()
-    pixels = np.moveaxis((crop.image[..., ::-1] - MEAN) / DEVIATION, -1, 0)[None]
-    outputs = session.run(None, {input_.name: pixels.astype(DTYPES[input_.type])})
-    along = [np.asarray(part, np.float32)[0, :count] for part in outputs]
-    confidence = np.minimum(*(part.max(-1) for part in along))
-    if confidence.max() < LEAST_CONFIDENCE:
-        return None
-    places = [part.argmax(-1) / n for part, n in zip(along, bins_per_pixel, strict=True)]
-    points = crop.pixels_of(np.stack(places, -1))
-    return np.column_stack([points, np.clip(confidence, 0, 1)])

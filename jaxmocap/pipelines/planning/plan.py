@@ -26,7 +26,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.pipelines.planning.requirements import Requirements, fov_across_deg, fov_deg
+from jaxmocap.pipelines.planning.requirements import Requirements, fov_deg
 from jaxmocap.pipelines.planning.results import CameraPlan
 from jaxmocap.pipelines.planning.subject import (
     SECONDS,
@@ -118,7 +118,7 @@ def plan_cameras(
         present=error_of(information, subject.cameras) if subject.cameras else None,
         best=tuple(best),
         fields_of_view=tuple(map(fov_deg, placed)),
-        fields_across=tuple(map(fov_across_deg, placed)),
+        fields_across=tuple(fov_deg(camera, across=True) for camera in placed),
         with_trackers=with_trackers,
         ring=rings[0],
         bounds=bounds,

@@ -97,16 +97,8 @@ class Requirements:
         return lenses[-1], float(zoom)
 
 
-def fov_across_deg(camera: Camera) -> float:
-    """From left to right, without distortion."""
-    return _fov_deg(camera, float(np.asarray(camera.size)[0]))
-
-
-def fov_deg(camera: Camera) -> float:
-    """Along the longer side, without distortion."""
-    return _fov_deg(camera, float(np.max(np.asarray(camera.size))))
-
-
-def _fov_deg(camera: Camera, extent_px: float) -> float:
-    half = extent_px / 2 / float(camera.matrix[0, 0])
+def fov_deg(camera: Camera, across: bool = False) -> float:
+    """Field of view along the longer side, or from left to right, without distortion."""
+    width, height = map(float, np.asarray(camera.size))
+    half = (width if across else max(width, height)) / 2 / float(camera.matrix[0, 0])
     return float(np.degrees(2 * (half if camera.lens == FISHEYE else np.arctan(half))))

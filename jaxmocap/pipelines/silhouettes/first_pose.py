@@ -13,7 +13,6 @@ from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.morphing import Morphing, shoulders
 from jaxmocap.body.surfaces.surface import Surface
-from jaxmocap.formats.cameras.video_sources import VideoSource
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.morphing import read_morphing
 from jaxmocap.formats.recordings.recording import Recording
@@ -95,11 +94,6 @@ def in_view(recording: Recording, skeleton: Skeleton, pose: Pose) -> bool:
     return False
 
 
-def _begins(source: VideoSource) -> float:
-    """Marker time at which a video begins, seconds."""
-    return source.offset + (0.0 if source.frames is None else float(source.frames[0][0]))
-
-
 def _by_markers(recording: Recording, body: Skeleton) -> Pose:
     """The pose that the markers' inverse kinematics finds as the first video begins.
 
@@ -107,7 +101,11 @@ def _by_markers(recording: Recording, body: Skeleton) -> Pose:
     none.
     """
     count = np.isfinite(recording.positions_world).all(-1).sum(1)
-    since = recording.times - min((_begins(source) for source in recording.videos), default=0.0)
+    begins = [
+        source.offset + (0.0 if source.frames is None else float(source.frames[0][0]))
+        for source in recording.videos
+    ]
+    since = recording.times - min(begins, default=0.0)
     soon = np.where((since >= -usual_step(recording.times)) & (since <= SOON_S), count, 0)
     first = recording.positions_world[int(np.argmax(soon if soon.any() else count))]
     skeleton = recording.skeleton

@@ -18,8 +18,7 @@ from jaxmocap.body.skeleton import Skeleton, landmark_rows, with_joints
 from jaxmocap.capture.keypoints import follow_person, open_keypoints
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.evidence.keypoints import SightLines
-from jaxmocap.formats.recordings.keypoints import Detections
-from jaxmocap.formats.recordings.recording import Recording, VideoSource
+from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import on_host, project
 from jaxmocap.pipelines.keypoints.lines import lines_to_person
 from jaxmocap.silhouette.first_pose import landmark_points
@@ -79,7 +78,12 @@ def keypoint_guide(
         if detections is None:
             continue
         warnings += detections.warnings
-        person = follow_person(detections, _first_pixels(source, skeleton, start, detections))
+        first = None
+        if start is not None:
+            rows = landmark_rows(detections.landmarks)
+            points = np.asarray(landmark_points(skeleton, start), float)[rows]
+            first = project(on_host(source.camera), points)
+        person = follow_person(detections, first)
         lines.append(lines_to_person(skeleton, source.camera, person.at_frames(frames)))
     if not lines:
         return None
@@ -89,16 +93,6 @@ def keypoint_guide(
         return None
     poses = poses_of_lines(skeleton, times, joined, settings.keypoint_poses)
     return KeypointGuide(poses.lines, poses, is_detected, tuple(warnings))
-
-
-def _first_pixels(
-    source: VideoSource, skeleton: Skeleton, start: Pose | None, detections: Detections
-) -> np.ndarray | None:
-    """(P, 2) where a camera sees the landmarks of a first pose; None without one."""
-    if start is None:
-        return None
-    points = np.asarray(landmark_points(skeleton, start))[landmark_rows(detections.landmarks)]
-    return project(on_host(source.camera), np.asarray(points, float))
 
 
 # Two cameras that look along lines with less between them determine depth badly, degrees.

@@ -85,7 +85,7 @@ def model_from(
         name: camera_of(calibration, sections, name if name in (*sections, *needed) else "front")
         for name in PHOTOGRAPHS
     }
-    images = {name: read_photograph(files[name], cameras[name]) for name in PHOTOGRAPHS}
+    images = {name: read_photograph(files[name], cameras[name].size) for name in PHOTOGRAPHS}
     views = {}
     for name, image in images.items():
         try:

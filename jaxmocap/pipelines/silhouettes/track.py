@@ -23,7 +23,7 @@ from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.photographs import read_empty_room
 from jaxmocap.capture.timeline import bundle_frames
-from jaxmocap.capture.video import FrameSource, check_video_size, open_video
+from jaxmocap.capture.video import FrameSource, check_size, open_video
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.background_model import Background
@@ -246,7 +246,7 @@ def _open(
     else:
         videos = [open_video(source) for source in recording.videos]
         sizes = (
-            check_video_size(video, source.camera, video.name)
+            check_size(video.size, source.camera.size, video.name)
             for video, source in zip(videos, recording.videos, strict=True)
         )
         warnings = [*recording.warnings, *filter(None, sizes)]

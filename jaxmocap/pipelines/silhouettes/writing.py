@@ -29,7 +29,7 @@ from jaxmocap.pipelines.writing import (
     ignore_warning,
     overlay_names,
     tracked_folder,
-    write_numbers,
+    write_motion,
     write_overlays,
 )
 
@@ -63,7 +63,7 @@ def write_results(
     folder, skin = results_folder(directory, recording, inputs), _skin(result, person)
     motion = result.motion
     files = folder.write(
-        lambda stage: write_numbers(motion, recording, stage, (), *skin, warn), more_follows=True
+        lambda stage: write_motion(motion, stage, *skin, warn, recording), more_follows=True
     )
     return files + folder.write(
         lambda stage: _write_pictures(result, recording, stage, skin, progress)
@@ -86,7 +86,7 @@ def write_into(
 ) -> list[Path]:
     """The same into a folder that is there, of which nothing is asked."""
     skin = _skin(result, person)
-    files = write_numbers(result.motion, recording, folder, (), *skin)
+    files = write_motion(result.motion, folder, *skin, recording=recording)
     return files + _write_pictures(result, recording, folder, skin, progress)
 
 

@@ -121,10 +121,27 @@ def expected_deviations(settings: SmoothingSettings, information: Information) -
 
     A stretch borrows nothing from outside of it, so that its ends are less sure than its middle.
     """
-    return jax.lax.map(
-        lambda each: _landmark_deviations(settings, information.times, *each),
-        (information.hessian, information.jacobian),
-    )
+
+    def of_stretch(each: tuple[Array, Array]) -> Array:
+        """By Hessians (T, N, N) of moments and the landmarks' derivatives (T, 3 L, N)."""
+        hessian, jacobian = each
+        T, M, N = jacobian.shape
+        second, at = second_differences(information.times) / settings.acceleration, np.arange(T)
+        rows = jnp.zeros((T - 2, M, T, N), jacobian.dtype)
+        for k in range(3):
+            tied = second[:, k, None, None] * jacobian[k : T - 2 + k]
+            rows = rows.at[at[:-2], :, at[:-2] + k].set(tied)
+        rows = rows.reshape(-1, T * N)
+        every = jnp.matmul(rows.T, rows, precision=HIGHEST)
+        every = every + FLOOR * jnp.eye(T * N, dtype=rows.dtype)
+        every = every.reshape(T, N, T, N).at[at, :, at].add(hessian).reshape(T * N, T * N)
+        sides = jnp.zeros((T, N, T, M), rows.dtype).at[at, :, at].set(jacobian.swapaxes(1, 2))
+        factor = jnp.linalg.cholesky(every)
+        solved = jax.scipy.linalg.solve_triangular(factor, sides.reshape(T * N, T * M), lower=True)
+        variances = jnp.sum(solved**2, 0).reshape(T, len(LANDMARKS), 3)
+        return deviations_of(variances, settings.mismatch)
+
+    return jax.lax.map(of_stretch, (information.hessian, information.jacobian))
 
 
 def _view_rows(
@@ -210,23 +227,3 @@ def _inside(camera: Camera, region: Region, x: Array, y: Array) -> Array:
 
     (left, top), (width, height) = region.origin, camera.size
     return share(left, x, width) * share(top, y, height)
-
-
-def _landmark_deviations(
-    settings: SmoothingSettings, times: Array, hessian: Array, jacobian: Array
-) -> Array:
-    """(T, L, 3) by the Hessians (T, N, N) of moments and the landmarks' derivatives (T, 3 L, N)."""
-    T, M, N = jacobian.shape
-    second, at = second_differences(times) / settings.acceleration, np.arange(T)
-    rows = jnp.zeros((T - 2, M, T, N), jacobian.dtype)
-    for k in range(3):
-        tied = second[:, k, None, None] * jacobian[k : T - 2 + k]
-        rows = rows.at[at[:-2], :, at[:-2] + k].set(tied)
-    rows = rows.reshape(-1, T * N)
-    every = jnp.matmul(rows.T, rows, precision=HIGHEST) + FLOOR * jnp.eye(T * N, dtype=rows.dtype)
-    every = every.reshape(T, N, T, N).at[at, :, at].add(hessian).reshape(T * N, T * N)
-    sides = jnp.zeros((T, N, T, M), rows.dtype).at[at, :, at].set(jacobian.swapaxes(1, 2))
-    factor = jnp.linalg.cholesky(every)
-    solved = jax.scipy.linalg.solve_triangular(factor, sides.reshape(T * N, T * M), lower=True)
-    variances = jnp.sum(solved**2, 0).reshape(T, len(LANDMARKS), 3)
-    return deviations_of(variances, settings.mismatch)
