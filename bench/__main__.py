@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # What is worse than the baseline is measured again: a neighbour on the machine is no regression.
 ATTEMPTS = 3
-PARTS = ("frame rate", "rivals", "growth", "headline")
+PARTS = ("frame rate", "rivals", "headline")
 # Seconds of the clip: quickly, and in full.
 CLIP_S = {True: 1.5, False: 2.0}
 
@@ -35,8 +35,6 @@ def parser() -> argparse.ArgumentParser:
     add("--recordings", metavar="DIR", type=Path, help="real recordings, for the headline's errors")
     add("--detector-python", metavar="PYTHON", help="of an environment with mediapipe 0.10.21")
     add("--all-cores", action="store_true", help="do not keep to one core")
-    add("--samples", type=int, metavar="N", help="of the long run; 100000 takes minutes")
-    add("--picture", metavar="FILE", help="draw where the time of a step goes")
     return result
 
 
@@ -52,7 +50,7 @@ def measured(options: argparse.Namespace, folder: Path) -> "tuple[list[Metric], 
     """
     import cv2
 
-    from bench import algorithms, frame_rate, growth, headline, rivals
+    from bench import frame_rate, headline, rivals
     from bench.clips import film
 
     cv2.setNumThreads(1)
@@ -65,12 +63,9 @@ def measured(options: argparse.Namespace, folder: Path) -> "tuple[list[Metric], 
     footage = film(folder, CLIP_S[quick])
     if only in (None, "frame rate"):
         metrics += shown("frame rate", frame_rate.measure(footage, quick))
-        metrics += shown("against the reference", algorithms.against_reference(footage, quick))
     if only in (None, "rivals"):
         absent = rivals.missing()
         metrics += shown("rivals", rivals.measure(quick, absent))
-    if only == "growth" or (only is None and not quick):
-        metrics += shown("growth", growth.measure(footage, options.samples or growth.SAMPLES))
     return metrics, rivals.unmeasured(absent)
 
 
@@ -93,7 +88,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         keep_to_one_core()
     # XLA counts the cores when it is loaded.
     from bench.figures import best, failures, read_baseline, table, write_json
-    from bench.frame_rate import draw_stages
     from jaxmocap.pipelines.kept_programs import keep_compiled
 
     keep_compiled()
@@ -109,8 +103,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(table(metrics, baseline))
         if not attempt:
             write_json(metrics, options.json)
-            if options.picture:
-                draw_stages(metrics, options.picture)
         if not options.gate or not (problems := failures(best(runs), baseline, skipped)):
             return
         print("\n".join(problems), file=sys.stderr)

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.capture.video import open_video
-from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.synthetic.four_cameras import write_four_cameras
@@ -186,6 +186,12 @@ class Footage:
             positions_world=self.recording.positions_world[kept],
         )
         return Footage(recording, self.times[:frames], self.images[:frames])
+
+
+def in_memory(source: VideoSource) -> VideoSource:
+    """A video whose frames were all decoded."""
+    times, images = zip(*open_video(source).frames(), strict=True)
+    return replace(source, path=None, offset=0.0, frames=(np.array(times), list(images)))
 
 
 def film(folder: Path, seconds: float) -> Footage:

@@ -15,6 +15,7 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import cv2
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -45,6 +46,7 @@ OUTLIERS = {"all count": ContourPoseSettings(reach=np.inf), "outliers out": Cont
 WRONG, HIDDEN = 0.2, 0.3
 # Height of a surface's lumps, by its radius.
 LUMPS = 0.15
+PROJECT = jax.jit(project)
 # A surface's grid, and pixels by which its true mask is finer than an image.
 RINGS, AROUND, FINER = 40, 64, 4
 
@@ -107,7 +109,7 @@ def random_surface(rng: np.random.Generator, lumps: float) -> np.ndarray:
 
 def drawn_outline(camera: Camera, grid_world: np.ndarray) -> np.ndarray:
     """(Q, 2) pixels along the outline of a surface, drawn triangle by triangle: no rim of ours."""
-    flat = np.asarray(project(camera, jnp.asarray(grid_world.reshape(-1, 3), float)))
+    flat = np.asarray(PROJECT(camera, jnp.asarray(grid_world.reshape(-1, 3), float)))
     corner = flat.min(0) - 4
     places = np.round((flat - corner) * FINER * 16).reshape(*grid_world.shape[:2], 2).astype(int)
     size = (places.max((0, 1)) // 16 + 4 * FINER).astype(int)
@@ -141,7 +143,7 @@ def trial(
     truth, start = posed_start(rng, off)
     phases = 2 * np.pi * np.arange(POINTS) / POINTS
     world = fourier_series(descriptors, phases) @ truth[:3, :3].T + truth[:3, 3]
-    outlines = [np.asarray(project(each, jnp.asarray(world, float))) for each in cameras]
+    outlines = [np.asarray(PROJECT(each, jnp.asarray(world, float))) for each in cameras]
     return Trial(descriptors, [o + rng.normal(0, 0.5, o.shape) for o in outlines], truth, start)
 
 

@@ -4,13 +4,13 @@ INPUTS: a synthetic table-tennis clip, 30 Hz, markers at 90 Hz.
 OUTPUTS: Metrics. Frames are decoded beforehand but where the name says otherwise.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import jax
-import matplotlib.pyplot as plt
+import jax.numpy as jnp
 import numpy as np
-from matplotlib.axes import Axes
 
 from bench.clips import SIZES, Footage, at_size
 from bench.clock import (
@@ -30,11 +30,16 @@ from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import open_video
+from jaxmocap.evidence.terms import Measurements
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.hybrid.ik import goals_of
 from jaxmocap.hybrid.observe import edge_fields
+from jaxmocap.hybrid.paper import ik as paper_ik
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import REFINE, SOLVE
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.tracking.track import track
+from jaxmocap.reference.hybrid import ik as reference_ik
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother
 
 ImageAt = Callable[[int], np.ndarray | None]
@@ -48,16 +53,8 @@ STAGES = {
     "frame": "causal step with a frame",
     "sample": "causal step without a frame",
 }
-# Stage -> what it is called in the picture, from the ground up.
-DRAWN = {
-    "observe": "observe: edges, distance fields",
-    "solve": "solve: inverse kinematics",
-    "refine": "refine: search, simplex, balance",
-    "smooth": "smooth: silhouettes, the newest frames together",
-}
-# Smoothed, frames are observed and refined where the smoothing asks for it: that is of the rest.
-DRAWN_REST, LIMIT = "the rest: crossings, reports; smoothed, what is refined on demand", 2.0
-COLOURS = {"observe": "C0", "solve": "C2", "refine": "C1", "smooth": "C3", "rest": "0.7"}
+# Solves by the NumPy/SciPy reference, quickly and in full.
+SOLVES = {True: 30, False: 120}
 
 
 @dataclass
@@ -166,6 +163,7 @@ def measure(footage: Footage, quick: bool) -> Iterator[Metric]:
     loop = causal(alone, footage, footage.images.__getitem__, chain)
     yield from over_chain(pace, loop)
     yield Metric("memory, most so far", peak_mib(), "MiB")
+    yield from against_reference(footage.recording, SOLVES[quick])
     if not quick:
         yield from offline(tracker, footage, pace)
         yield from at_all_sizes(footage)
@@ -280,47 +278,29 @@ def otherwise(footage: Footage) -> Iterator[Metric]:
         yield from stage_metrics(f"640x480, {name}, step", pace.wall("frame"))
 
 
-def stages_over_chain(figures: dict[str, float]) -> dict[str, dict[str, float]]:
-    """Bar -> stage -> multiples of the image chain."""
-
-    def bar(names: list[str], total: str) -> dict[str, float]:
-        parts = {name: figures[f"{name}_over_image_chain"] for name in names}
-        return parts | {"rest": max(figures[total] - sum(parts.values()), 0.0)}
-
-    frame = ["observe", "solve", "refine"]
-    return {
-        "frame by frame": bar(frame, "tracker_step_over_image_chain"),
-        "causal, smoothed": bar(["solve", "smooth"], "step_over_image_chain"),
-    }
-
-
-def draw(axes: Axes, bars: dict[str, dict[str, float]]) -> None:
-    """Stacked bars with their sums, and the limit."""
-    colours, named = DRAWN | {"rest": DRAWN_REST}, set()
-    for row, parts in enumerate(bars.values()):
-        left = 0.0
-        for stage, size in parts.items():
-            label = None if stage in named else colours[stage]
-            named.add(stage)
-            axes.barh(row, size, left=left, color=COLOURS[stage], label=label)
-            if size > 0.7:
-                axes.text(left + size / 2, row, f"{size:.1f}", ha="center", va="center")
-            left += size
-        axes.text(left + 0.2, row, f"{left:.1f}", va="center", weight="bold")
-    axes.axvline(LIMIT, color="k", linestyle="--", label=f"aimed at: {LIMIT:g}")
-    axes.set_yticks(range(len(bars)), list(bars))
-    axes.set_xlabel("processor time of a step with a video frame / OpenCV's bare image chain")
-    axes.legend(loc="lower right", fontsize=8)
-    axes.set_ylim(-1.6, len(bars) - 0.4)
-    axes.margins(x=0.08)
-
-
-def draw_stages(metrics: Iterable[Metric], path: str) -> None:
-    """A picture of where the time of a causal step goes.
-
-    A bar for each way of working, stage upon stage, as multiples of OpenCV's bare image chain; the
-    line is what was aimed at.
-    """
-    figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
-    draw(axes, stages_over_chain({metric.name: metric.value for metric in metrics}))
-    figure.savefig(path, dpi=110)
+def against_reference(recording: Recording, solves: int) -> Iterator[Metric]:
+    """Algorithm 1, jitted in float32 and in NumPy, from the same start to the same goals."""
+    tracker = HybridTracker.from_recording(recording, Settings(refine="none"))
+    model, settings = tracker.model, tracker.settings.ik
+    # For one person: handing over a model's arrays takes as long as an iteration.
+    solve = jax.jit(partial(paper_ik.reach, model, settings))
+    state = tracker.init(recording.positions_world[0])
+    ours, theirs, farthest = [], [], 0.0
+    for turn, markers in enumerate(recording.positions_world[1 : solves + 2]):
+        targets = jnp.asarray(markers, model.dtype)
+        goals = goals_of(model, settings, state.feet, targets)
+        time, (pose, _) = timed(solve, Measurements(goals=goals), state.pose)
+        # As NumPy arrays: fetching each of its numbers from JAX would take most of its time.
+        plain = jax.tree.map(np.asarray, (model.skeleton, goals, settings, state.pose))
+        theirs_took, (expected, _) = timed(reference_ik.reach, *plain)
+        if turn:  # The first of ours compiles.
+            ours.append(time)
+            theirs.append(theirs_took)
+        apart = np.asarray(pose.angles, float) - expected.angles
+        farthest = max(farthest, float(np.abs(apart).max()))
+        state = state._replace(pose=pose)
+    yield from stage_metrics("inverse kinematics", [span.wall for span in ours])
+    yield from stage_metrics("inverse kinematics, NumPy reference", [span.wall for span in theirs])
+    faster = ratio(np.array(theirs), np.array(ours))
+    yield Metric("inverse_kinematics_reference_over_ours", faster, "x", "higher", OF_OTHERS)
+    yield Metric("inverse kinematics, angles off the reference's", np.degrees(farthest), "°")

@@ -11,6 +11,8 @@ elbows' acceleration as a multiple of the reference's; how many coordinates of t
 intervals hold, of joints; Metrics.
 """
 
+import tomllib
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from unittest.mock import patch
@@ -19,7 +21,6 @@ import numpy as np
 
 from bench import command
 from bench.figures import Metric, write_json
-from bench.walkers import MOVEMENTS, as_toml, learned, walks
 from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.evaluation.errors import evaluate, interval_coverage
@@ -31,9 +32,11 @@ from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.smoothing import markers_alone
-from jaxmocap.smoothing.walking import Habits
+from jaxmocap.smoothing.facing import average_over_time, unit
+from jaxmocap.smoothing.walking import MIRRORS, Habit, Habits, Walk
 
 MARKERS, BODIES = ("three", "five"), ("height", "static")
+MOVEMENTS = ("straight", "turn")
 JOINTS = ("elbow", "shoulder", "hip", "knee", "neck")
 # Landmark -> its name in the reference.
 PAIRS = {
@@ -42,6 +45,14 @@ PAIRS = {
 # How many coordinates 90 % intervals hold.
 HELD = tuple(f"{joint} within, %" for joint in JOINTS)
 FIGURES = (*(f"{joint}, cm" for joint in JOINTS), "acceleration, x", *HELD)
+# Slopes are drawn to 0 by this share of their features' variance: six people are few.
+RIDGE = 0.01
+# Habits that are learned, and what of them is usual: of feet and pelvis the markers and the ground
+# have the height.
+USUAL_AXES = {"elbow": (1, 1, 1), "ankle": (1, 1, 0), "pelvis": (1, 1, 0)}
+
+# Habit -> features (N, F) and places (N, 3) of one walk.
+Samples = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
 def measure(recording: Path, habits: Habits | None = None, mode: Mode = "own") -> np.ndarray:
@@ -74,6 +85,88 @@ def measure(recording: Path, habits: Habits | None = None, mode: Mode = "own") -
 def _acceleration(times: np.ndarray, points: np.ndarray) -> float:
     """Root mean square, m/s^2, of points (T, 3)."""
     return float(np.sqrt(np.nanmean(np.sum(second_difference(times, points) ** 2, -1))))
+
+
+# What walkers do, learned -----------------------------------------------------------------------
+
+
+def walks(folder: Path) -> list[Samples]:
+    """A person's walks, by either side."""
+    person = tomllib.loads((folder / "person.toml").read_text())
+    above = np.array([0.0, 0.0, person["head_markers_below_crown"]])
+    return [
+        each
+        for movement in MOVEMENTS
+        for each in _walk(folder / f"{movement}.trc", person["height"], above)
+    ]
+
+
+def _walk(path: Path, stature: float, above: np.ndarray) -> list[Samples]:
+    markers = read_trc(path)
+    times, points = markers.times, markers.points()
+    crown, wrists = points["Head"] + above, [points["LWrist"], points["RWrist"]]
+    across = wrists[0] - wrists[1]
+    ahead = unit(np.stack([across[:, 1], -across[:, 0]], -1))
+    ahead = unit(average_over_time(ahead, times))
+    walk = Walk.of(times, ahead, crown, wrists, stature)
+    hips = (points["LHip"] + points["RHip"]) / 2
+    found = []
+    for i, side in enumerate("LR"):
+        joints = {"elbow": points[f"{side}Elbow"], "ankle": points[f"{side}Ankle"], "pelvis": hips}
+        features = {"elbow": walk.hands[i], "ankle": walk.swing[i], "pelvis": walk.swing[i]}
+        places = {
+            name: np.einsum("tij,tj->ti", walk.axes, joint - crown) / stature * MIRRORS[i]
+            for name, joint in joints.items()
+        }
+        found.append({name: (features[name], places[name]) for name in joints})
+    return found
+
+
+def learned(people: Sequence[Sequence[Samples]]) -> Habits:
+    """What these people's walks (two people or more) have in common."""
+    habits = {}
+    for name, axes in USUAL_AXES.items():
+        errors = []
+        for left_out, own in enumerate(people):
+            constant, slopes = _line([p for i, p in enumerate(people) if i != left_out], name)
+            errors += [np.mean((constant + x @ slopes - y) ** 2, 0) for x, y in _each(own, name)]
+        deviations = np.where(axes, np.sqrt(np.mean(errors, 0)), np.inf)
+        habits[name] = Habit(*_line(people, name), deviations)
+    hands = np.concatenate([x for own in people for x, _ in _each(own, "elbow")])
+    return Habits(**habits, hand=np.stack([hands.mean(0), hands.std(0)]))
+
+
+def _each(own: Sequence[Samples], name: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [walk[name] for walk in own]
+
+
+def _line(people: Sequence[Sequence[Samples]], name: str) -> tuple[np.ndarray, np.ndarray]:
+    """The constant and the slopes that are least off over all samples."""
+    x, y = (
+        np.concatenate(part)
+        for part in zip(*(pair for own in people for pair in _each(own, name)), strict=True)
+    )
+    middle, spread = x.mean(0), x.std(0)
+    scaled = (x - middle) / spread
+    weights = scaled.T @ scaled + RIDGE * len(x) * np.eye(len(spread))
+    slopes = np.linalg.solve(weights, scaled.T @ (y - y.mean(0))) / spread[:, None]
+    return y.mean(0) - middle @ slopes, slopes
+
+
+def as_toml(habits: Habits) -> str:
+    """The tables of ``walking.toml``, to four digits after the point."""
+    tables = {name: getattr(habits, name)._asdict() for name in USUAL_AXES}
+    tables["hand"] = dict(zip(("place", "deviations"), habits.hand, strict=True))
+    return "\n".join(
+        f"[{table}]\n" + "".join(f"{key} = {_text(value)}\n" for key, value in rows.items())
+        for table, rows in tables.items()
+    )
+
+
+def _text(values: np.ndarray) -> str:
+    if values.ndim > 1:
+        return "[\n" + "".join(f"    {_text(row)},\n" for row in values) + "]"
+    return f"[{', '.join(f'{value:.4f}' for value in np.round(values, 4) + 0.0)}]"
 
 
 def main() -> None:

@@ -10,23 +10,25 @@ INPUTS: folders. OUTPUTS: a table, and Metrics as JSON.
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from bench import command
+from bench.clips import in_memory
 from bench.figures import Metric, write_json
 from bench.silhouette import true_start
-from bench.silhouette_faults import FAULTS, Faulty, Span, Truth, in_memory
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.cli.recording_options import select_cameras
 from jaxmocap.evaluation.tables import align_columns
-from jaxmocap.formats.recordings.recording import Recording, load_recording
+from jaxmocap.formats.recordings.recording import Recording, VideoSource, load_recording
 from jaxmocap.formats.time_series.trc import read_trc
+from jaxmocap.geometry.cameras import project
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.silhouettes.track import track_silhouettes
 from jaxmocap.silhouette.settings import Settings
@@ -38,6 +40,47 @@ JOINTS = tuple(
 )
 # Back is who stays within this much more than usual for so many frames; and how soon is asked.
 MORE_M, STAYS, ASKED_S = 0.01, 3, 0.5
+# One frame of so many is corrupted, and which of a second's frames a limb is hidden from.
+EVERY, HIDDEN_FROM, HIDDEN_S = 10, 0.2, 1.0
+# Around a hidden limb, pixels; the box is of a plain grey.
+AROUND, GREY = 22, 128
+LIMB = ("elbow_l", "wrist_l", "hand_l")
+# Joints whose angles nobody can tell while that limb is hidden.
+HIDDEN_JOINTS = ("elbow_flex_l",)
+
+
+class Span(NamedTuple):
+    """A fault of frames ``start`` to ``stop`` (excluded).
+
+    Attributes:
+        start: the first frame.
+        stop: the frame after the last, or after the first of a fault that stays.
+        cameras: names of those that show nothing of use.
+        joints: that no camera can show.
+    """
+
+    start: int
+    stop: int
+    cameras: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
+
+
+class Faulty(NamedTuple):
+    """Videos with faults.
+
+    Attributes:
+        videos: one of each camera.
+        spans: in order of time.
+        fewer: cameras that are left from the fault on, where it stays.
+    """
+
+    videos: tuple[VideoSource, ...]
+    spans: tuple[Span, ...]
+    fewer: tuple[str, ...] = ()
+
+
+Truth = dict[str, np.ndarray]
+Fault = Callable[[Sequence[VideoSource], Truth], Faulty]
 
 
 class Outcome(NamedTuple):
@@ -90,6 +133,92 @@ class Outcome(NamedTuple):
         return result + ([Metric(f"{self.name}, back after", late.max(), "s")] if len(late) else [])
 
 
+# What goes wrong with cameras ---------------------------------------------------------------------
+
+
+def one_corrupted(videos: Sequence[VideoSource], truth: Truth) -> Faulty:
+    """Every tenth frame of one camera after the other is torn, black or another camera's."""
+    return _corrupted(videos, lambda number: [number % len(videos)])
+
+
+def all_corrupted(videos: Sequence[VideoSource], truth: Truth) -> Faulty:
+    """The same of all cameras at once."""
+    return _corrupted(videos, lambda number: range(len(videos)))
+
+
+def _corrupted(
+    videos: Sequence[VideoSource], which: Callable[[int], Sequence[int] | range]
+) -> Faulty:
+    images, spans = [_frames(video)[1] for video in videos], []
+    old = [list(each) for each in images]
+    for number, frame in enumerate(range(EVERY, len(images[0]), EVERY)):
+        broken = which(number // 3 if len(which(0)) == 1 else number)
+        for camera in broken:
+            image, other = old[camera][frame], old[(camera + 1) % len(old)][frame]
+            images[camera][frame] = (torn(image), np.zeros_like(image), other)[number % 3]
+        spans.append(Span(frame, frame + 1, tuple(videos[c].camera_name for c in broken)))
+    return Faulty(_with(videos, images), tuple(spans))
+
+
+def torn(image: np.ndarray) -> np.ndarray:
+    """The lower part of an image shifted by a third of its width, as of a frame that came late."""
+    cut = image.shape[0] * 2 // 5
+    return np.concatenate([image[:cut], np.roll(image[cut:], image.shape[1] // 3, 1)])
+
+
+def camera_lost(videos: Sequence[VideoSource], truth: Truth) -> Faulty:
+    """The second camera ends midway."""
+    gone = videos[1 % len(videos)]
+    times, images = _frames(gone)
+    middle = len(times) // 2
+    cut = replace(gone, frames=(times[:middle], images[:middle]))
+    left = tuple(video.camera_name for video in videos if video is not gone)
+    span = Span(middle, middle + 1, (gone.camera_name,))
+    return Faulty(tuple(cut if video is gone else video for video in videos), (span,), left)
+
+
+def limb_hidden(videos: Sequence[VideoSource], truth: Truth) -> Faulty:
+    """A box lies over the left forearm and hand in every camera for a second."""
+    times, _ = _frames(videos[0])
+    start = int(np.searchsorted(times, times[0] + HIDDEN_FROM))
+    stop = min(int(np.searchsorted(times, times[start] + HIDDEN_S)), len(times) - 1)
+    points = np.stack([truth[name] for name in LIMB], 1)
+    images = [_frames(video)[1] for video in videos]
+    for video, shown in zip(videos, images, strict=True):
+        pixels = np.asarray(project(video.camera, jnp.asarray(points, video.camera.matrix.dtype)))
+        low = np.maximum(np.floor(pixels.min(1) - AROUND).astype(int), 0)
+        high = np.maximum(np.ceil(pixels.max(1) + AROUND).astype(int), 0)
+        for frame in range(start, stop):
+            shown[frame] = shown[frame].copy()
+            shown[frame][low[frame, 1] : high[frame, 1], low[frame, 0] : high[frame, 0]] = GREY
+    return Faulty(_with(videos, images), (Span(start, stop, (), HIDDEN_JOINTS),))
+
+
+def _frames(video: VideoSource) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Times and images of a video in memory."""
+    assert video.frames is not None
+    times, images = video.frames
+    return np.asarray(times), list(images)  # type: ignore[arg-type]
+
+
+def _with(videos: Sequence[VideoSource], images: list[list]) -> tuple[VideoSource, ...]:
+    """The videos with other images."""
+    return tuple(
+        replace(video, frames=(_frames(video)[0], shown))
+        for video, shown in zip(videos, images, strict=True)
+    )
+
+
+FAULTS = {
+    "one camera corrupted": one_corrupted,
+    "all cameras corrupted": all_corrupted,
+    "a camera lost": camera_lost,
+    "a limb hidden": limb_hidden,
+}
+
+
+# What becomes of it -------------------------------------------------------------------------------
+
 HEADINGS = [
     ["exercise and fault", "usual", "worst", "back after", "", "in 0.5 s", "reported", "falsely"],
     ["", "cm", "cm", "median s", "at most s", "", "", ""],
@@ -103,8 +232,6 @@ def measured(folder: Path, faults: Sequence[str], settings: Settings) -> list[Ou
     result = []
     for name in faults:
         faulty = FAULTS[name](recording.videos, truth)
-        if faulty is None:
-            continue
         usual = clean
         if faulty.fewer:
             fewer = tracked(select_cameras(recording, faulty.fewer), truth, settings)

@@ -1,14 +1,16 @@
-"""``python -m bench.silhouette [RECORDINGS]``: how well and how fast the silhouette tracker is.
+"""``python -m bench.silhouette RECORDINGS``: how well and how fast the silhouette tracker is.
 
 With the options of ``silhouette track`` for its settings: which body, for example.
 
 Rendered exercises by four, three, two cameras and one: how far elbows and knees are bent, against
-the truth, where the joints are, and how much they shake. The real recording by all its cameras.
-And what a frame takes, stage by stage. Bones have the lengths of the truth's landmarks; the first
-pose is the truth's.
+the truth, where the joints are, and how much they shake. Feet that stand: how high the lowest node
+of their skin is over the floor, how far toe and ankle are above or below the truth's, and how far
+the toe slides against the truth's, in a second and from a step's first frame to its last. The real
+recording by all its cameras. And what a frame takes, stage by stage. Bones have the lengths of the
+truth's landmarks; the first pose is the truth's.
 
 INPUTS: the folder of recordings, with ``person/person.npz`` and
-``balancing/recording_all_cameras.toml`` in it; without one a painted person squats.
+``balancing/recording_all_cameras.toml`` in it.
 OUTPUTS: tables, and Metrics as JSON.
 """
 
@@ -25,32 +27,41 @@ from bench.clips import REAL_LANDMARKS, Clip, exercises
 from bench.clock import STAGES, WHOLE_FRAME, stages_timed
 from bench.evaluation import AccelerationAndLag, compare_tracks
 from bench.figures import Metric, stage_metrics, table, write_json
-from bench.silhouette_faults import in_memory
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, WINTER, Skeleton, with_joints
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
-from jaxmocap.body.surfaces.surface import Surface
+from jaxmocap.body.surfaces.surface import Surface, bones_over_time, nodes_over_time
 from jaxmocap.cli.silhouette.track import add_settings, settings_of
 from jaxmocap.evaluation.errors import Errors, position_errors
 from jaxmocap.evaluation.series import match
 from jaxmocap.evaluation.tables import align_columns
-from jaxmocap.formats.recordings.recording import Recording, VideoSource
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.tables import Markers
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
-from jaxmocap.pipelines.progress import progress_bar
-from jaxmocap.pipelines.silhouettes.demo import JOINTS, performer_of
+from jaxmocap.pipelines.silhouettes.demo import JOINTS
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
-from jaxmocap.pipelines.silhouettes.track import track_silhouettes
+from jaxmocap.pipelines.silhouettes.track import SilhouetteResult, track_silhouettes
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.surfaces.body_shape import determined_landmarks
-from jaxmocap.synthetic.four_cameras import HINGES, flexion_angles, write_four_cameras
+from jaxmocap.synthetic.four_cameras import HINGES, flexion_angles
 from jaxmocap.synthetic.movements.exercises import EXERCISES
 
 KINDS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 # Joints by which the real recording is evaluated.
 REAL_KINDS = ("elbow", "shoulder", "hip", "knee")
-REAL, PAINTED = "balancing", "squat"
+REAL = "balancing"
+# A foot stands within so much of its toe's lowest place; and the shortest step, frames.
+STANDING_M, SHORTEST = 0.01, 3
+FEET = {
+    "sole over the floor, mean": "cm",
+    "sole, RMS": "cm",
+    "toe's height off, RMS": "cm",
+    "ankle's height off, RMS": "cm",
+    "toe slides": "cm/s",
+    "over a step": "cm",
+}
 
 
 @dataclass(frozen=True)
@@ -63,6 +74,7 @@ class Result:
         errors: of the joints' places.
         bends_off: hinge -> (N,) absolute errors of how far it is bent, radians.
         calm: of the joints.
+        feet: the figures of ``FEET``; none of the real recording and of bodies without feet.
     """
 
     name: str
@@ -70,6 +82,7 @@ class Result:
     errors: Errors
     bends_off: dict[str, np.ndarray]
     calm: AccelerationAndLag
+    feet: Sequence[float] = ()
 
     def angle(self, kind: str) -> float:
         """Mean error of both elbows or both knees, degrees; NaN where the body has none."""
@@ -87,26 +100,13 @@ class Result:
         return float(np.sqrt(np.nanmean(self.calm.track**2) / np.nanmean(self.calm.reference**2)))
 
 
-def track_exercise(clip: Clip, cameras: int, settings: Settings, every: int = 1) -> Result:
-    """A rendered recording by the first of its cameras, bones and first pose from the truth.
-
-    Of its frames one in ``every`` is kept.
-    """
-    return evaluated(clip, *prepared(clip, cameras, settings, every), settings)
-
-
-def prepared(
-    clip: Clip, cameras: int, settings: Settings, every: int = 1
-) -> tuple[Recording, Pose]:
-    """A rendered recording by its first cameras, and its first pose, both by the truth."""
+def track_exercise(clip: Clip, cameras: int, settings: Settings) -> Result:
+    """A rendered recording by the first of its cameras, bones and first pose from the truth."""
     truth = read_trc(clip.truth).points()
     recording = Recording.load(clip.path)
-    recording = replace(
-        recording,
-        skeleton=scale_to_landmarks(recording.skeleton, truth),
-        videos=tuple(thinned(video, every) for video in recording.videos[:cameras]),
-    )
-    return recording, true_start(recording.skeleton, truth, settings)
+    skeleton = scale_to_landmarks(recording.skeleton, truth)
+    recording = replace(recording, skeleton=skeleton, videos=recording.videos[:cameras])
+    return evaluated(clip, recording, true_start(skeleton, truth, settings), settings)
 
 
 def true_start(
@@ -117,16 +117,6 @@ def true_start(
     first = np.array([truth[name][0] if name in truth else missing for name in LANDMARKS])
     body = Settings.body if settings is None else settings.body
     return pose_at_landmarks(with_joints(skeleton, body), first)
-
-
-def thinned(video: VideoSource, every: int) -> VideoSource:
-    """A video of one frame in so many, in memory; of all of them as it is."""
-    if every == 1:
-        return video
-    held = in_memory(video)
-    assert held.frames is not None
-    times, images = held.frames
-    return replace(held, frames=(times[::every], images[::every]))
 
 
 def track_real(clip: Clip, settings: Settings) -> Result:
@@ -146,8 +136,9 @@ def evaluated(
 
     Joints that the body does not move are left out.
     """
-    motion = track_silhouettes(recording, start, settings, surface=surface, progress=True).motion
-    truth, joints = read_trc(clip.truth), motion.joints()
+    tracked_by = track_silhouettes(recording, start, settings, surface=surface, progress=True)
+    motion, truth = tracked_by.motion, read_trc(clip.truth)
+    joints = motion.joints()
     moved = determined_landmarks(motion.skeleton.tree)
     tracked = [name for name in JOINTS if moved[LANDMARKS.index(name)]]
     points = {mark: truth.points()[name] for mark, name in clip.landmarks.items() if mark in JOINTS}
@@ -159,7 +150,40 @@ def evaluated(
     off = {hinge: np.abs(actual[hinge][ours] - expected[hinge][theirs]) for hinge in hinges}
     places = [np.stack([each[name] for name in tracked], 1) for each in (joints, points)]
     calm = compare_tracks(motion.times, places[0], truth.times, places[1])
-    return Result(clip.name, len(recording.videos), errors, off, calm)
+    feet = () if clip.name == REAL else foot_figures(tracked_by, truth)
+    return Result(clip.name, len(recording.videos), errors, off, calm, feet)
+
+
+def foot_figures(result: SilhouetteResult, truth: Markers) -> list[float]:
+    """``FEET``, of both feet together while they stand on the floor, z = 0."""
+    motion = result.motion
+    ours, theirs = match(motion.times, truth.times)
+    turns, places = bones_over_time(motion.skeleton, motion.poses)
+    nodes = nodes_over_time(result.surface.points, turns, places)[ours]
+    joints, times, parts = motion.joints(), truth.times[theirs], []
+    for patch in result.surface.patches:
+        if patch.limb != "foot":
+            continue
+        true, found = (
+            [each[f"{part}_{patch.side}"][rows] for part in ("toe", "ankle")]
+            for each, rows in ((truth.points(), theirs), (joints, ours))
+        )
+        stands = true[0][:, 2] < true[0][:, 2].min() + STANDING_M
+        off = np.array(found) - true
+        sole = nodes[:, patch.nodes, 2].min(1)
+        pairs = stands[1:] & stands[:-1]
+        slides = np.linalg.norm(np.diff(off[0, :, :2], axis=0), axis=1) / np.diff(times)
+        runs = np.split(np.arange(len(stands)), np.flatnonzero(~pairs) + 1)
+        steps = [np.linalg.norm(off[0, run[-1], :2] - off[0, run[0], :2]) for run in runs
+                 if len(run) >= SHORTEST]  # fmt: skip
+        parts.append((sole[stands], off[0, stands, 2], off[1, stands, 2], slides[pairs], steps))
+    if not parts:
+        return []
+    sole, toe, ankle, slides, steps = (
+        100 * np.concatenate(each) for each in zip(*parts, strict=True)
+    )
+    squares = (float(np.sqrt(np.mean(each**2))) for each in (sole, toe, ankle))
+    return [float(np.mean(sole)), *squares, float(np.mean(slides)), float(np.mean(steps))]
 
 
 def exercise_rows(results: Sequence[Result]) -> list[list[str]]:
@@ -225,6 +249,8 @@ def metrics(result: Result) -> Iterator[Metric]:
         if np.isnan(result.angle(kind)):
             continue
         yield Metric(f"{name}, {kind}s bent", result.angle(kind), "deg", tolerance=0.1)
+    for (figure, unit), value in zip(FEET.items(), result.feet, strict=False):
+        yield Metric(f"{name}, feet: {figure}", abs(value), unit)
 
 
 def speed(name: str, frames: Sequence[dict[str, float]]) -> list[Metric]:
@@ -241,22 +267,9 @@ def speed(name: str, frames: Sequence[dict[str, float]]) -> list[Metric]:
 def chosen(options: argparse.Namespace, keep: Path) -> list[Clip]:
     """The exercises asked for, rendered where they are not there yet."""
     names = [name for name in options.only if name != REAL]
-    if options.recordings:
-        file = Path(options.recordings) / "person" / "person.npz"
-        people = options.people.split(",")
-        return exercises(file, names, options.seeds, people, options.seconds, keep)
-    clips = []
-    for seed in options.seeds if names else ():
-        name = f"{PAINTED}_{seed:03d}_{options.seconds:g}s"
-        path = keep / name / "recording.toml"
-        if not path.is_file():
-            painted = performer_of(options.seconds, seed, None, PAINTED)
-            with progress_bar(f"rendering {name}", True) as show:
-                write_four_cameras(
-                    path.parent, painted, options.seconds, seed, progress=show, proportions=WINTER
-                )
-        clips.append(Clip(PAINTED, name, path, {mark: mark for mark in LANDMARKS}, seed))
-    return clips
+    file = Path(options.recordings) / "person" / "person.npz"
+    people = options.people.split(",")
+    return exercises(file, names, options.seeds, people, options.seconds, keep)
 
 
 def kinds(text: str) -> list[str]:
@@ -280,7 +293,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     result = command("bench.silhouette", __doc__)
     add = result.add_argument
-    add("recordings", nargs="?", help="folder of the real recording and of the rigged meshes")
+    add("recordings", help="folder of the real recording and of the rigged meshes")
     choices = (*EXERCISES, REAL)
     add(
         "--only",
@@ -290,7 +303,6 @@ def parser() -> argparse.ArgumentParser:
         help=f"of {', '.join(choices)}",
     )
     add("--cameras", type=counts, default=counts("4,3,2,1"), metavar="4,3,...", help="how many")
-    add("--every", type=int, default=1, metavar="N", help="keep one rendered frame in N")
     add_rendered(result)
     add_settings(result)
     return result
@@ -306,6 +318,9 @@ def main() -> None:
     most = [r for r in rendered if r.cameras == max(options.cameras)]
     parts = [exercise_rows(most)] if rendered else []
     parts += [camera_rows(rendered)] if len(options.cameras) > 1 and rendered else []
+    standing = [[r.name, *(f"{value:.2f}" for value in r.feet)] for r in most if r.feet]
+    if standing:
+        parts.append([["feet", *(f"{name}, {unit}" for name, unit in FEET.items())], *standing])
     parts += [real_rows(result) for result in results if result.name == REAL]
     print("\n\n".join([*map(align_columns, parts), table(timed)]))
     write_json([*(m for result in results for m in metrics(result)), *timed], options.json)
@@ -320,9 +335,9 @@ def measured(options: argparse.Namespace, keep: Path) -> tuple[list[Result], lis
         with stages_timed() as clock:
             for clip in clips:
                 print(f"tracking {clip.name} by {number}", file=sys.stderr, flush=True)
-                results.append(track_exercise(clip, number, settings, options.every))
+                results.append(track_exercise(clip, number, settings))
         timed += speed(f"{number} cameras" if number > 1 else "1 camera", clock.frames)
-    if REAL in options.only and options.recordings:
+    if REAL in options.only:
         path = Path(options.recordings) / REAL / "recording_all_cameras.toml"
         with stages_timed() as clock:
             results.append(track_real(Clip(REAL, REAL, path, REAL_LANDMARKS), settings))

@@ -1,8 +1,10 @@
 """Kinds of evidence, one against another: made key points, flat backgrounds, a quick run."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,12 +13,14 @@ from small_recording import CAMERA, small_recording
 from bench import evidence
 from bench.clips import Clip
 from bench.evidence import flat_frame, flattened
+from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.formats.recordings.keypoints import read_keypoints
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import project
 from jaxmocap.images.background_model import Background
+from jaxmocap.pipelines.tracking.events import RecordingEvents
 
 FRAMES = 200
 
@@ -88,9 +92,13 @@ def test_what_may_be_another_background_stays_as_it_is(what):
 
 def test_a_flattened_recording_has_its_frames_at_the_same_times():
     recording = small_recording()
-    own = evidence.FirstRun.through(recording)
-    flat = flattened(recording, own.videos, own.first_pass)
-    (before,), (after,) = own.videos, open_footage(flat)[0]
+    videos, _ = open_footage(recording)
+    index = RecordingEvents.of(recording, videos, "own").timeline.frame_index
+    pose = relaxed_pose(recording.skeleton)._replace(position=jnp.array([0.0, 0.0, 0.95]))
+    poses = jax.tree.map(lambda part: np.tile(part, (len(index), 1)), pose)
+    first = SimpleNamespace(poses=poses, frame_index=index)
+    flat = flattened(recording, videos, first)  # type: ignore[arg-type]
+    (before,), (after,) = videos, open_footage(flat)[0]
     np.testing.assert_array_equal(after.times, before.times)
     for (_, was), (_, now) in zip(before.frames(luma=True), after.frames(luma=True), strict=True):
         assert now.shape == was.shape and steepest(now, np.s_[:, :24]) < steepest(

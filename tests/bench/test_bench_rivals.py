@@ -5,7 +5,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from bench import algorithms, rival_ik, rivals
+from bench import rival_ik, rivals
 from bench.figures import failures, read_baseline
 from jaxmocap.hybrid.settings import IKSettings
 
@@ -55,7 +55,7 @@ def test_everybody_follows_the_same_targets_within_a_millimetre(skeleton, way):
 
 def test_who_is_missing_is_said_and_left_out(monkeypatch, capsys):
     monkeypatch.setattr(rivals, "find_spec", lambda name: None)
-    monkeypatch.setattr(rivals.algorithms, "simplex", lambda quick: iter(()))
+    monkeypatch.setattr(rivals, "simplex", lambda quick: iter(()))
     absent = rivals.missing()
     assert absent == list(rivals.OPTIONAL)
     lines = capsys.readouterr().err.splitlines()
@@ -72,9 +72,9 @@ def test_who_is_missing_is_said_and_left_out(monkeypatch, capsys):
 
 
 def test_our_simplex_and_scipys_find_the_same_minima():
-    fields, grips = algorithms.scene()
-    ours = algorithms.ours(fields, grips)()
-    theirs = algorithms.by_scipy(fields, grips)()
+    fields, grips = rivals.scene()
+    ours = rivals.ours(fields, grips)()
+    theirs = rivals.by_scipy(fields, grips)()
     for field, grip, a, b in zip(fields, grips, ours, theirs, strict=True):
-        costs = [algorithms.arm_cost(np, field, grip, np.asarray(h, float)) for h in (a, b)]
+        costs = [rivals.arm_cost(np, field, grip, np.asarray(h, float)) for h in (a, b)]
         assert costs[0] == pytest.approx(costs[1], abs=0.05)

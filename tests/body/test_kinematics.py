@@ -14,6 +14,7 @@ from jaxmocap.reference import kinematics as reference
 
 FORWARD = jax.jit(kinematics.forward)
 LANDMARKS_OF = jax.jit(kinematics.landmarks)
+SITE_POSITIONS, RETRACT = jax.jit(kinematics.site_positions), jax.jit(retract)
 LANDMARK_BONES = np.array([0, 3, 4, 4, 6, 7, 8, 8, 15, 20], np.int32)
 SITES = kinematics.Sites(
     LANDMARK_BONES,
@@ -124,7 +125,7 @@ def test_joined_sites_are_where_they_were_apart(skeleton):
     ankles = kinematics.landmark_sites(skeleton, ("ankle_r", "ankle_l"))
     frames = FORWARD(skeleton, relaxed_pose(skeleton))
     both, first, second = (
-        kinematics.site_positions(skeleton, frames, sites)
+        SITE_POSITIONS(skeleton, frames, sites)
         for sites in (kinematics.joined_sites(ankles, device_sites()), ankles, device_sites())
     )
     np.testing.assert_array_equal(both, np.concatenate([first, second]))
@@ -177,7 +178,7 @@ def test_spine_and_neck_bow_forward(skeleton):
 
 @given(pose=poses(), step=vectors(27, 0.5))
 def test_a_pose_survives_packing(pose, step):
-    moved = retract(on_device(pose), on_device(step))
+    moved = RETRACT(on_device(pose), on_device(step))
     for part, again in zip(moved, unpack(pack(moved)), strict=True):
         np.testing.assert_array_equal(part, again)
     assert np.linalg.norm(moved.quaternion) == pytest.approx(1, abs=1e-6)

@@ -1,5 +1,6 @@
 """A camera's height, pitch and roll by a person who walks before it."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,15 +16,16 @@ NAMES = tuple(f"{joint}_{side}" for joint in ("shoulder", "hip", "knee", "ankle"
 SIZE, FOCAL = (720, 1280), 1100.0
 LENS = Camera.create(SIZE, np.array([[FOCAL, 0, 359.5], [0, FOCAL, 639.5], [0, 0, 1]]))
 PERSON = Skeleton.human(1.7)
+PROJECT, POINTS = jax.jit(project), jax.jit(landmarks)
 
 
 def walked(place: StandingCamera, count: int = 30, noise_px: float = 3.0):
     """Pixels (F, P, 2) of somebody upright who walks from 3 to 6 m away."""
-    points = np.array(landmarks(PERSON, relaxed_pose(PERSON)))
+    points = np.array(POINTS(PERSON, relaxed_pose(PERSON)))
     points[:, 2] += ANKLE_M - points[landmark_rows(("ankle_l",))[0], 2]
     away = np.linspace(3, 6, count)
     moved = points[landmark_rows(NAMES)] + np.stack([away, 0.2 * away, 0 * away], 1)[:, None]
-    pixels = np.asarray(project(place.stand_camera(LENS), jnp.asarray(moved, float)))
+    pixels = np.asarray(PROJECT(place.stand_camera(LENS), jnp.asarray(moved, float)))
     return pixels + np.random.default_rng(0).normal(0, noise_px, pixels.shape)
 
 
@@ -74,14 +76,14 @@ def test_frames_of_who_squats_or_bows_are_left_out_where_joints_tell(bent):
         angles[joints.index(f"hip_flexion_{side}")] = 1.2
         angles[joints.index(f"knee_flexion_{side}")] = {"knee": 1.8, "hip": 0.1}[bent]
     upright, low = (
-        np.array(landmarks(PERSON, pose))[rows]
+        np.array(POINTS(PERSON, pose))[rows]
         for pose in (body, body._replace(angles=jnp.asarray(angles, body.angles.dtype)))
     )
     points = np.stack([upright, low, low, low, low])[np.arange(30) % 5]
     points[..., 2] += ANKLE_M - points[:, [NAMES.index("ankle_l")], 2]
     points[..., 0] += np.linspace(3, 6, 30)[:, None]
     camera = place.stand_camera(LENS)
-    pixels, sure = np.asarray(project(camera, jnp.asarray(points))), np.ones(points.shape[:2])
+    pixels, sure = np.asarray(PROJECT(camera, jnp.asarray(points))), np.ones(points.shape[:2])
     joints_cam = np.asarray(points @ np.asarray(camera.T_cam_world)[:3, :3].T, float)
     found = camera_by_person(LENS, NAMES, pixels, sure, PERSON, joints_cam)
     alone = camera_by_person(LENS, NAMES, pixels, sure, PERSON)
@@ -109,5 +111,5 @@ def test_a_placed_camera_looks_along_x_from_its_height():
         ahead, [np.cos(np.radians(10)), 0, -np.sin(np.radians(10))], atol=1e-6
     )
     # What is above the middle is to its right where the image is turned clockwise.
-    above = np.asarray(project(camera, jnp.asarray([[3.0, 0.0, 1.7]])))[0] - LENS.matrix[:2, 2]
+    above = np.asarray(PROJECT(camera, jnp.asarray([[3.0, 0.0, 1.7]])))[0] - LENS.matrix[:2, 2]
     assert np.degrees(np.arctan2(above[0], -above[1])) == pytest.approx(20.0, abs=1e-3)

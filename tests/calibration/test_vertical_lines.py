@@ -1,6 +1,7 @@
 """A camera's pitch and roll by the vertical lines of a drawn room."""
 
 import cv2
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,11 +13,12 @@ from jaxmocap.geometry.cameras import Camera, project
 SIZE, FOCAL = (960, 720), 700.0
 LENS = Camera.create(SIZE, np.array([[FOCAL, 0, 479.5], [0, FOCAL, 359.5], [0, 0, 1]]))
 NOBODY = np.zeros((0, 1, 2))
+PROJECT = jax.jit(project)
 
 
 def drawn(lines_world: np.ndarray, place: StandingCamera, image: np.ndarray) -> None:
     """Lines (N, 2, 3) of a room, as a camera has them, into the image."""
-    ends = np.asarray(project(place.stand_camera(LENS), jnp.asarray(lines_world, jnp.float32)))
+    ends = np.asarray(PROJECT(place.stand_camera(LENS), jnp.asarray(lines_world, jnp.float32)))
     for start, end in ends.round().astype(int).tolist():
         cv2.line(image, start, end, (30,), 2, cv2.LINE_AA)
 

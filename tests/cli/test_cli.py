@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_recording import SAMPLES, write_small_recording
+from small_recording import OUTPUTS, SAMPLES, write_small_recording
 
 from jaxmocap.cli import program as cli
 from jaxmocap.cli.command import name_of
@@ -15,15 +15,11 @@ from jaxmocap.cli.program import COMMANDS, GROUPS, main
 from jaxmocap.formats.files.errors import InputError, OutputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.pipelines import view
 from jaxmocap.pipelines.demo import standing_recording
 from jaxmocap.pipelines.kept_programs import cache_folder
 from jaxmocap.pipelines.signals import Terminated
-
-OUTPUTS = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
-OUTPUTS |= {"angles_isb.mot", "report.json", "overlay_cam.mp4", "recording.rrd", "outputs.json"}
 
 
 @pytest.fixture
@@ -38,36 +34,6 @@ def folder(tmp_path) -> Path:
 # What they do ------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def tracked(tmp_path_factory):
-    """A small recording that the command has tracked, and what it printed on stdout and stderr."""
-    folder = tmp_path_factory.mktemp("tracked")
-    recording = write_small_recording(folder)
-    with pytest.MonkeyPatch.context() as patch:
-        printed, stderr = (folder / "stdout").open("w"), (folder / "stderr").open("w")
-        patch.setattr(sys, "stdout", printed)
-        patch.setattr(sys, "stderr", stderr)
-        code = main(["track", str(recording), "--out", str(folder / "out"), "--json", "-"])
-        printed.close()
-        stderr.close()
-    return code, folder / "out", (folder / "stdout").read_text(), (folder / "stderr").read_text()
-
-
-def test_track_writes_every_file_and_leaves_nothing_half_written(tracked):
-    code, out, _, _ = tracked
-    assert code == 0
-    assert {path.name for path in out.iterdir()} == OUTPUTS
-
-
-def test_track_prints_figures_as_json_and_the_summary_beside_them(tracked):
-    _, out, printed, stderr = tracked
-    figures = json.loads(printed)
-    assert figures["frames"] == SAMPLES and figures["frames_per_second"] > 0
-    assert figures["settings"]["recording"].endswith("recording.toml")
-    for text in ("tracking", "video frames: first pass", str(out / "joints.trc")):
-        assert text in stderr
-
-
 def test_track_names_markers_that_are_exchanged(folder, tmp_path):
     markers, figures = folder / "markers.trc", tmp_path / "figures.json"
     text = markers.read_text().replace("Head", "Other").replace("LWrist", "Head")
@@ -76,51 +42,6 @@ def test_track_names_markers_that_are_exchanged(folder, tmp_path):
     assert main(["track", *given, "--json", str(figures)]) == 0
     says = "[markers.on] Head and LWrist: LWrist is above"
     assert any(says in warning for warning in json.loads(figures.read_text())["warnings"])
-
-
-def test_evaluate_compares_with_a_reference_by_time_stamp(tracked, capsys, tmp_path):
-    _, out, _, _ = tracked
-    truth, file = str(out.parent / "markers.trc"), tmp_path / "errors.json"
-    wrists = ["--match", "wrist_l=LWrist", "wrist_r=RWrist"]
-    assert main(["evaluate", str(out), truth, *wrists, "--json", str(file)]) == 0
-    assert "wrist_l" in capsys.readouterr().out
-    figures = json.loads(file.read_text())
-    assert figures["joints"]["wrist_r"]["samples"] == SAMPLES
-    assert figures["mean_over_joints"]["mean_m"] < 0.02
-    assert main(["evaluate", str(out), truth, *wrists, "--up", "y", "--json", "-"]) == 0
-    assert json.loads(capsys.readouterr().out)["mean_over_joints"]["mean_m"] > 0.5
-
-
-def test_evaluate_says_so_where_the_references_other_axis_upwards_fits(tracked, capsys, tmp_path):
-    _, out, _, _ = tracked
-    truth, wrists = out.parent / "markers.trc", ["--match", "wrist_l=LWrist", "wrist_r=RWrist"]
-    upright = read_markers(truth)
-    y_up = {name: points[:, [1, 2, 0]] for name, points in upright.points().items()}
-    write_trc(tmp_path / "y.trc", upright.times, y_up)
-    for reference, warns in ((truth, False), (tmp_path / "y.trc", True)):
-        assert main(["evaluate", str(out), str(reference), *wrists]) == 0
-        assert ("warning  with --up y the mean is" in capsys.readouterr().out) == warns
-
-
-def test_view_says_how_to_open_the_recording_where_there_is_no_display(
-    tracked, capsys, monkeypatch
-):
-    monkeypatch.setattr(view, "has_display", lambda: False)
-    assert main(["view", str(tracked[1])]) == 0
-    assert capsys.readouterr().out.splitlines() == [
-        str(tracked[1] / "recording.rrd"),
-        f"no display here; in a browser: jaxmocap view {tracked[1]} --web",
-    ]
-
-
-def test_view_opens_the_viewer_where_there_is_a_display(tracked, capsys, monkeypatch):
-    started = []
-    monkeypatch.setattr(view, "has_display", lambda: True)
-    monkeypatch.setattr(view.subprocess, "Popen", lambda line, **_: started.append(line))
-    assert main(["view", str(tracked[1])]) == 0
-    assert "rerun" in started[0][0] and started[0][1:3] == ["--bind", "127.0.0.1"]
-    assert started[0][-1] == str(tracked[1] / "recording.rrd")
-    assert "opened" in capsys.readouterr().out
 
 
 def test_a_display_is_what_the_environment_names(monkeypatch):
@@ -254,13 +175,6 @@ def test_a_field_that_does_not_fit_is_named_with_its_file(folder, untracked, fil
 def test_an_output_that_is_a_file_is_refused_before_tracking(folder, refusal):
     given = ["track", folder / "recording.toml", "--out", folder / "cam.mp4" / "x"]
     assert "cam.mp4 is a file" in refusal(*given)
-
-
-def test_an_unknown_joint_or_marker_is_refused_with_a_list(tracked, refusal):
-    _, out, _, _ = tracked
-    given = ["evaluate", out, out.parent / "markers.trc", "--match"]
-    assert "no joint 'elbow', expected one of" in refusal(*given, "elbow=LWrist")
-    assert "no marker 'Elbow', expected one of Head, LWrist" in refusal(*given, "elbow_l=Elbow")
 
 
 @pytest.mark.parametrize(

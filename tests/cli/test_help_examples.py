@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from drawn_boards import BOARD, LENS, draw, write_views
 from held_devices import DEVICES, pivoting
-from small_recording import write_small_recording
+from small_recording import OUTPUTS, SAMPLES, write_small_recording
 
 from jaxmocap.calibration.extrinsics import board_to_world
 from jaxmocap.cli.command import name_of
@@ -22,6 +22,7 @@ from jaxmocap.cli.program import COMMANDS, GROUPS, main
 from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
 from jaxmocap.formats.recordings.recording import Recording, write_recording
 from jaxmocap.formats.time_series.csv import write_csv
+from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
 from jaxmocap.geometry.cameras import project
 from jaxmocap.pipelines import view
@@ -36,11 +37,11 @@ EXAMPLES = {name_of(command): command.EXAMPLE for command in COMMANDS} | {
     for group, kinds in GROUPS.items()
     for kind in kinds.COMMANDS
 }
-# In turn, in one folder; and the exit code of each: 24 samples determine no video's offset.
+# After ``track``, in turn and in its folder; and the exit code of each: 24 samples determine no
+# video's offset.
 SHORT = {
     "help": 0,
     "check": 0,
-    "track": 0,
     "evaluate": 0,
     "view": 0,
     "convert": 0,
@@ -74,7 +75,7 @@ EXCEPTED = {"keypoints": "MediaPipe needs an environment of its own and an older
 
 
 def test_every_example_is_run_or_excepted():
-    assert set(EXAMPLES) == {*SHORT, *LONG, *EXCEPTED}
+    assert set(EXAMPLES) == {"track", *SHORT, *LONG, *EXCEPTED}
 
 
 @pytest.fixture(scope="module")
@@ -104,8 +105,23 @@ def arguments(name: str) -> list[str]:
     return [each for word in words for each in (sorted(glob.glob(word)) or [word])]
 
 
+@pytest.fixture(scope="module")
+def tracked(folder):
+    """What the example of ``track`` left, and printed on stdout and stderr."""
+    with pytest.MonkeyPatch.context() as patch:
+        printed, stderr = (folder / "stdout").open("w"), (folder / "stderr").open("w")
+        patch.chdir(folder)
+        patch.setattr(sys, "stdout", printed)
+        patch.setattr(sys, "stderr", stderr)
+        code = main([*arguments("track"), "--json", "-"])
+        printed.close()
+        stderr.close()
+    assert code == 0
+    return folder / "tracked", (folder / "stdout").read_text(), (folder / "stderr").read_text()
+
+
 @pytest.mark.parametrize("name", SHORT)
-def test_a_short_example_runs_and_its_figures_are_json(name, folder, monkeypatch, capsys):
+def test_a_short_example_runs_and_its_figures_are_json(name, folder, tracked, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     monkeypatch.setattr(view, "has_display", lambda: False)
     if name == "evaluate" and not Path("truth.trc").exists():
@@ -118,6 +134,78 @@ def test_a_short_example_runs_and_its_figures_are_json(name, folder, monkeypatch
     printed = capsys.readouterr().out
     if json_option:
         assert json.loads(printed, parse_constant=pytest.fail)
+
+
+# What they leave ---------------------------------------------------------------------------------
+
+
+def test_track_writes_every_file_and_leaves_nothing_half_written(tracked):
+    out, _, _ = tracked
+    assert {path.name for path in out.iterdir()} == OUTPUTS
+
+
+def test_track_prints_figures_as_json_and_the_summary_beside_them(tracked):
+    _, printed, stderr = tracked
+    figures = json.loads(printed, parse_constant=pytest.fail)
+    assert figures["frames"] == SAMPLES and figures["frames_per_second"] > 0
+    assert figures["settings"]["recording"].endswith("recording.toml")
+    for text in ("tracking", "video frames: first pass", str(Path("tracked", "joints.trc"))):
+        assert text in stderr
+
+
+def test_evaluate_compares_with_a_reference_by_time_stamp(tracked, capsys, tmp_path):
+    out, _, _ = tracked
+    truth, file = str(out.parent / "markers.trc"), tmp_path / "errors.json"
+    wrists = ["--match", "wrist_l=LWrist", "wrist_r=RWrist"]
+    assert main(["evaluate", str(out), truth, *wrists, "--json", str(file)]) == 0
+    assert "wrist_l" in capsys.readouterr().out
+    figures = json.loads(file.read_text())
+    assert figures["joints"]["wrist_r"]["samples"] == SAMPLES
+    assert figures["mean_over_joints"]["mean_m"] < 0.02
+    assert main(["evaluate", str(out), truth, *wrists, "--up", "y", "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["mean_over_joints"]["mean_m"] > 0.5
+
+
+def test_evaluate_says_so_where_the_references_other_axis_upwards_fits(tracked, capsys, tmp_path):
+    out, _, _ = tracked
+    truth, wrists = out.parent / "markers.trc", ["--match", "wrist_l=LWrist", "wrist_r=RWrist"]
+    upright = read_markers(truth)
+    y_up = {name: points[:, [1, 2, 0]] for name, points in upright.points().items()}
+    write_trc(tmp_path / "y.trc", upright.times, y_up)
+    for reference, warns in ((truth, False), (tmp_path / "y.trc", True)):
+        assert main(["evaluate", str(out), str(reference), *wrists]) == 0
+        assert ("warning  with --up y the mean is" in capsys.readouterr().out) == warns
+
+
+def test_view_says_how_to_open_the_recording_where_there_is_no_display(
+    tracked, capsys, monkeypatch
+):
+    monkeypatch.setattr(view, "has_display", lambda: False)
+    assert main(["view", str(tracked[0])]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        str(tracked[0] / "recording.rrd"),
+        f"no display here; in a browser: jaxmocap view {tracked[0]} --web",
+    ]
+
+
+def test_view_opens_the_viewer_where_there_is_a_display(tracked, capsys, monkeypatch):
+    started = []
+    monkeypatch.setattr(view, "has_display", lambda: True)
+    monkeypatch.setattr(view.subprocess, "Popen", lambda line, **_: started.append(line))
+    assert main(["view", str(tracked[0])]) == 0
+    assert "rerun" in started[0][0] and started[0][1:3] == ["--bind", "127.0.0.1"]
+    assert started[0][-1] == str(tracked[0] / "recording.rrd")
+    assert "opened" in capsys.readouterr().out
+
+
+def test_an_unknown_joint_or_marker_is_refused_with_a_list(tracked, refusal):
+    out, _, _ = tracked
+    given = ["evaluate", out, out.parent / "markers.trc", "--match"]
+    assert "no joint 'elbow', expected one of" in refusal(*given, "elbow=LWrist")
+    assert "no marker 'Elbow', expected one of Head, LWrist" in refusal(*given, "elbow_l=Elbow")
+
+
+# Long ones ---------------------------------------------------------------------------------------
 
 
 def run(name: str, folder: Path, *more: str) -> None:

@@ -242,7 +242,7 @@ def test_a_closed_limb_seen_end_on_still_has_an_outline():
 
 def spheres_to_everything(near_cam, far_cam, radii):
     limb = outlines.project_limb(near_cam, far_cam, radii)
-    points, weights, _ = outline(limb, jnp.array([0.0, 1.0]))
+    points, weights, _ = OUTLINE(limb, jnp.array([0.0, 1.0]))
     inside = outlines.signed_distance(limb, jnp.array([[0.05, -0.02], [0.0, 0.0], [0.4, 0.3]]))
     return jnp.sum(points * weights[:, None]), jnp.sum(inside)
 

@@ -3,8 +3,18 @@
 import numpy as np
 import pytest
 
-from bench.robustness import JOINTS, back_at, evaluated, unseen
-from bench.silhouette_faults import Faulty, Span, all_corrupted, camera_lost, one_corrupted, torn
+from bench.robustness import (
+    JOINTS,
+    Faulty,
+    Span,
+    all_corrupted,
+    back_at,
+    camera_lost,
+    evaluated,
+    one_corrupted,
+    torn,
+    unseen,
+)
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton

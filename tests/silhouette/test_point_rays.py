@@ -75,10 +75,12 @@ def rays_to(cameras, points_world, noise=0.0, rng=None) -> Lines:
     parts = np.array_split(np.arange(len(points_world)), len(cameras))
     rays = []
     for camera, part in zip(cameras, parts, strict=True):
-        pixels = np.asarray(PROJECT(camera, points_world[part]))
-        pixels = pixels if rng is None else pixels + rng.normal(0, noise, pixels.shape)
-        rays.append(LINES(camera, on_device(pixels)))
-    return Lines(*(jnp.concatenate(field) for field in zip(*rays, strict=True)))
+        # Of all points, so that as many always are one program.
+        pixels = np.array(PROJECT(camera, points_world))
+        if rng is not None:
+            pixels[part] += rng.normal(0, noise, (len(part), 2))
+        rays.append(jax.tree.map(lambda field, p=part: field[p], LINES(camera, pixels)))
+    return Lines(*map(np.concatenate, zip(*rays, strict=True)))
 
 
 def solved(skeleton, pose, pairs, settings, prior=None, free=None):
@@ -175,10 +177,10 @@ def test_rows_are_derivatives_of_the_residuals(skeleton64):
         rng, pose, points, x = placed(skeleton64, 4)
         lines = rays_to(ring(2), x + 0.03)
         pairs = on_rays(points, lines)._replace(along_weights=on_device(rng.uniform(0, 1, PAIRS)))
-        way, h = on_device(rng.normal(size=6 + len(pose.angles))), 1e-6
-        ends = [FORWARD(skeleton64, retract(pose, s * h * way)) for s in (1, -1)]
-        after, before = (LINEARISED(skeleton64, end, pairs)[0] for end in ends)
-        _, rows = LINEARISED(skeleton64, FORWARD(skeleton64, pose), pairs)
+        way, h = rng.normal(size=6 + len(pose.angles)), 1e-6
+        ends = [FORWARD(skeleton64, RETRACT(pose, s * h * way)) for s in (1, -1)]
+        after, before = (np.asarray(LINEARISED(skeleton64, end, pairs)[0]) for end in ends)
+        rows = np.asarray(LINEARISED(skeleton64, FORWARD(skeleton64, pose), pairs)[1])
         np.testing.assert_allclose((after - before) / (2 * h), rows @ way, atol=1e-6)
 
 
@@ -250,9 +252,9 @@ def test_contours_outliers_a_prior_and_limits_lead_to_the_references_pose(skelet
         x = np.array(POSED(FORWARD(skeleton64, truth), points))
         x[::6] += rng.normal(0, 0.3, (len(x[::6]), 3))
         pairs = on_rays(points, rays_to(ring(4), on_device(x), 1.0, rng))
-        turn = on_device(rng.uniform(0, np.pi, (PAIRS, 1)))
-        along = jnp.cross(pairs.lines.directions, pairs.across)
-        across = jnp.cos(turn) * pairs.across + jnp.sin(turn) * along
+        turn = rng.uniform(0, np.pi, (PAIRS, 1))
+        along = np.cross(pairs.lines.directions, pairs.across)
+        across = np.cos(turn) * pairs.across + np.sin(turn) * along
         weights = on_device(rng.uniform(0.2, 1.0, PAIRS) * (np.arange(PAIRS) % 7 > 0))
         pairs = pairs._replace(
             across=across, weights=weights, along_weights=on_device(np.full(PAIRS, 0.1))

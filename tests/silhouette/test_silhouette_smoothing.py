@@ -28,10 +28,13 @@ def skeleton() -> Skeleton:
     return load_skeleton(Settings.body)
 
 
+PLACES, RETRACT = jax.jit(jax.vmap(landmarks, (None, 0))), jax.jit(retract)
+
+
 def moving(skeleton: Skeleton, wave: np.ndarray) -> tuple[Pose, np.ndarray]:
     """The relaxed pose moved by tangent vectors (T, 6 + D), and those."""
-    rest = jax.tree.map(lambda part: jnp.stack([part] * len(wave)), relaxed_pose(skeleton))
-    return jax.tree.map(np.asarray, retract(rest, jnp.asarray(wave, jnp.float32))), wave
+    rest = jax.tree.map(lambda part: np.stack([part] * len(wave)), relaxed_pose(skeleton))
+    return jax.tree.map(np.asarray, RETRACT(rest, np.asarray(wave, np.float32))), wave
 
 
 def swinging(skeleton: Skeleton) -> Pose:
@@ -71,7 +74,7 @@ def free(skeleton: Skeleton) -> np.ndarray:
 
 
 def places(skeleton: Skeleton, poses: Pose) -> np.ndarray:
-    return np.asarray(jax.vmap(partial(landmarks, skeleton))(poses))
+    return np.asarray(PLACES(skeleton, poses))
 
 
 def test_what_frames_are_sure_of_stays(skeleton):
@@ -100,7 +103,7 @@ def test_frames_that_show_nothing_lie_between_the_others(skeleton):
 def test_noise_is_taken_out_and_the_motion_left(skeleton):
     rng, truth = np.random.default_rng(3), swinging(skeleton)
     noise = rng.normal(0, 0.02, (FRAMES, 6 + truth.angles.shape[1])).astype(np.float32)
-    shaken = jax.tree.map(np.asarray, retract(truth, jnp.asarray(noise)))
+    shaken = jax.tree.map(np.asarray, RETRACT(truth, noise))
     calm = smooth(skeleton, information_of(shaken, 1 / 0.02**2))
     exact = places(skeleton, truth)
     before, after = (
@@ -120,7 +123,7 @@ def test_who_stands_still_does_so_beside_what_swings(skeleton):
     truth = jax.tree.map(np.copy, truth)
     truth.position[:] = truth.position[0]
     noise = rng.normal(0, 0.01, (FRAMES, 6 + truth.angles.shape[1])).astype(np.float32)
-    shaken = jax.tree.map(np.asarray, retract(truth, jnp.asarray(noise)))
+    shaken = jax.tree.map(np.asarray, RETRACT(truth, noise))
     measured, exact = information_of(shaken, 1 / 0.01**2), places(skeleton, truth)
     foot, hand = (LANDMARKS.index(name) for name in ("ankle_l", "wrist_l"))
     alike, own = (

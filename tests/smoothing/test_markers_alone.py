@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from painted_motion import PERSON, places_of, points_of, truth
 
-from bench.people import FIGURES, measure
-from bench.walkers import learned, walks
+from bench.people import FIGURES, learned, measure, walks
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.evaluation.series import second_difference

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from bench.walkers import as_toml, learned, walks
+from bench.people import as_toml, learned, walks
 from jaxmocap.body.model import Model
 from jaxmocap.body.model_files import data_of
 from jaxmocap.body.skeleton import Skeleton

@@ -161,7 +161,7 @@ def step_problems(dtype) -> tuple[jax.Array, ...]:
 def test_the_step_is_that_of_the_dense_equations(dtype, within):
     with double():
         J, S, moves, change, pull = map(np.asarray, step_problems(jnp.float64))
-        actual = jax.vmap(least_squares_step)(*step_problems(dtype))
+        actual = jax.jit(jax.vmap(least_squares_step))(*step_problems(dtype))
     for i, step in enumerate(np.asarray(actual, float)):
         free = moves[i]
         hessian = (J[i].T @ J[i] + S[i])[np.ix_(free, free)]

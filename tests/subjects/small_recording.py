@@ -33,6 +33,9 @@ PLACES = {
 SIZE = (96, 72)
 HEIGHT = 1.75
 SAMPLES, MARKER_RATE, FRAMES, VIDEO_RATE = 24, 60, 12, 30
+# What tracking it writes.
+OUTPUTS = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
+OUTPUTS |= {"angles_isb.mot", "report.json", "overlay_cam.mp4", "recording.rrd", "outputs.json"}
 CAMERA = look_at((3.0, 0.6, 1.3), (0.0, 0.0, 0.95), size=SIZE, focal=95.0, distortion=())
 
 
