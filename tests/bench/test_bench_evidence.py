@@ -1,6 +1,5 @@
 """Kinds of evidence, one against another: made key points, flat backgrounds, a quick run."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -84,7 +83,7 @@ def test_what_is_like_the_background_is_flat_and_what_is_before_it_stays():
 def test_what_may_be_another_background_stays_as_it_is(what):
     frame = WALL if what == "unknown" else np.random.default_rng(1).integers(0, 255, WALL.shape)
     nothing = np.zeros_like(LEARNED.certainty)
-    background = replace(LEARNED, certainty=nothing) if what == "unknown" else LEARNED
+    background = LEARNED._replace(certainty=nothing) if what == "unknown" else LEARNED
     frame = frame.astype(np.uint8)
     grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
     np.testing.assert_array_equal(flat_frame(frame, background), grey)
