@@ -4,28 +4,24 @@ INPUTS: a Skeleton, landmarks' positions in the world (metres), NaN where unknow
 OUTPUTS: a Pose.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import landmark_sites, landmarks
-from jaxmocap.body.model import Model
+from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.orientations import quaternions
-from jaxmocap.body.pose import Pose, relaxed_pose
+from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.programs import Program, program
-from jaxmocap.evidence.markers import MarkerPositions
-from jaxmocap.evidence.posture import EstimatedPose, NearEstimate
-from jaxmocap.evidence.terms import Measurements
-from jaxmocap.silhouette.keypoint_poses import descend
+from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.surfaces.body_shape import determined_landmarks
 
 # Deviation of a landmark, metres.
 LANDMARK_DEVIATION_M = 0.02
 # Deviation of a degree of freedom about the relaxed pose, metres and radians.
 RELAXED_DEVIATION = 1.0
-# Of the descent.
+# Of Gauss and Newton.
 STEPS = 40
 landmark_points = Program(landmarks, "landmarks", effort="quick")
 
@@ -84,11 +80,24 @@ def _middle(at: dict[str, np.ndarray], pair: str) -> np.ndarray:
 
 @program("full")
 def _fit_pose(skeleton: Skeleton, start: Pose, points: Array) -> Pose:
-    """Of a placed pose, near it where the landmarks leave joints open."""
-    easy = jnp.concatenate(
-        [jnp.zeros(ROOT_DOF, points.dtype), jnp.ones_like(start.angles) / RELAXED_DEVIATION]
+    """Gauss-Newton from a placed pose, within the limits."""
+    is_measured = jnp.isfinite(points)
+    targets = jnp.where(is_measured, points, 0.0)
+    rest = jnp.concatenate(
+        [jnp.zeros(6, points.dtype), jnp.ones_like(start.angles) / RELAXED_DEVIATION**2]
     )
-    near = EstimatedPose(start, jnp.diag(easy), jnp.zeros_like(easy))
-    terms = (MarkerPositions(deviation=LANDMARK_DEVIATION_M), NearEstimate())  # type: ignore[arg-type]
-    model = Model(skeleton, landmark_sites(skeleton))
-    return descend(terms, model, Measurements(markers=points, estimate=near), start, STEPS)
+
+    def off(pose: Pose, step: Array) -> Array:
+        there = landmarks(skeleton, retract(pose, step))
+        return (jnp.where(is_measured, there - targets, 0.0) / LANDMARK_DEVIATION_M).ravel()
+
+    def once(_: int, pose: Pose) -> Pose:
+        none = jnp.zeros_like(rest)
+        r, J = off(pose, none), jax.jacfwd(lambda step: off(pose, step))(none)
+        slope = jnp.matmul(r, J, precision=HIGHEST) + rest * difference(pose, start)
+        square = jnp.matmul(J.T, J, precision=HIGHEST)
+        step = -jnp.linalg.solve(square + jnp.diag(rest + 1.0), slope)
+        moved = retract(pose, jnp.clip(step, -0.3, 0.3))
+        return moved._replace(angles=jnp.clip(moved.angles, *skeleton.limits.T))
+
+    return jax.lax.fori_loop(0, STEPS, once, start)

@@ -212,7 +212,7 @@ def _minima(
     starts = _starts(model.skeleton)
 
     def of_frame(own: Measurements) -> tuple:
-        descend = jax.vmap(partial(_descend_ahead, terms, model, own), (0, None))
+        descend = jax.vmap(partial(_descend, terms, model, own), (0, None))
         poses = jax.vmap(partial(_place_pose, model.skeleton, own))(starts)
         poses, costs = descend(poses, ROUGH_STEPS)
         best = jax.lax.top_k(-costs, MINIMA)[1]
@@ -265,24 +265,13 @@ def _place_pose(skeleton: Skeleton, measured: Measurements, pose: Pose) -> Pose:
     return pose._replace(position=jnp.linalg.solve(total, towards))
 
 
-def _descend_ahead(
+def _descend(
     terms: tuple[Term, ...], model: Model, measured: Measurements, start: Pose, steps: Any
 ) -> tuple[Pose, Array]:
-    """``descend``, and half the squares there.
+    """Where a damped Gauss-Newton descent ends, and half the squares there.
 
     Infinite where that is behind the cameras, whose lines have two ends.
     """
-    pose, lines = descend(terms, model, measured, start, steps), measured.sight_lines
-    away = landmarks(model.skeleton, pose) - lines.origin[:, None]
-    is_ahead = jnp.all(jnp.sum(away * jnp.nan_to_num(lines.directions), (1, 2)) >= 0)
-    cost = jnp.sum(residuals(terms, model, pose, measured) ** 2) / 2
-    return pose, jnp.where(is_ahead, cost, jnp.inf)
-
-
-def descend(
-    terms: tuple[Term, ...], model: Model, measured: Measurements, start: Pose, steps: Any
-) -> Pose:
-    """Where a damped Gauss-Newton descent within the limits ends."""
     size = ROOT_DOF + start.angles.size
 
     def step(_: int, now: tuple) -> tuple:
@@ -299,5 +288,9 @@ def descend(
         damping = damping * jnp.where(lower, EASED, RAISED)
         return tree_where(lower, there, pose), jnp.clip(damping, 1e-3, 1e6)
 
-    begun = start, jnp.asarray(DAMPING, start.angles.dtype)
-    return jax.lax.fori_loop(0, steps, step, begun)[0]
+    pose, _ = jax.lax.fori_loop(0, steps, step, (start, jnp.asarray(DAMPING, start.angles.dtype)))
+    lines = measured.sight_lines
+    away = landmarks(model.skeleton, pose) - lines.origin[:, None]
+    is_ahead = jnp.all(jnp.sum(away * jnp.nan_to_num(lines.directions), (1, 2)) >= 0)
+    cost = jnp.sum(residuals(terms, model, pose, measured) ** 2) / 2
+    return pose, jnp.where(is_ahead, cost, jnp.inf)

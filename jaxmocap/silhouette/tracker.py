@@ -44,7 +44,7 @@ from jaxmocap.silhouette.fit.cycles import (
     term_evidence,
 )
 from jaxmocap.silhouette.pose import standard_deviations
-from jaxmocap.silhouette.recovery.limbs import carriers
+from jaxmocap.silhouette.recovery.limbs import carrying_bones
 from jaxmocap.silhouette.recovery.lost_limbs import LimbRecovery
 from jaxmocap.silhouette.recovery.relocation import (
     RecoveredPose,
@@ -119,7 +119,7 @@ class SilhouetteTracker:
         finder = RimFinder(skeleton, skin, s.rim, s.morphing)
         self.constants = TrackerConstants(
             stacked, s, finder, s.rest * np.asarray(skeleton.rest_deviations, float),
-            carriers(finder.initial_shape.surface.points),
+            carrying_bones(finder.initial_shape.surface.points)[0],
         )  # fmt: skip
         self._sites = Sites.none(dtype) if sites is None else sites
         self.body = self._body(finder.initial_shape)

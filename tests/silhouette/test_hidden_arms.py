@@ -23,7 +23,7 @@ from jaxmocap.silhouette.recovery.limb_likelihood import (
     obstacle_rings,
     penetrating_share,
 )
-from jaxmocap.silhouette.recovery.limbs import bone_ends, carriers, halves_of, limb_chains
+from jaxmocap.silhouette.recovery.limbs import bone_ends, carrying_bones, halves_of, limb_chains
 from jaxmocap.silhouette.recovery.projected_body import ProjectedBody, body_pixels
 from jaxmocap.silhouette.segmentation.outlines import find_outlines
 from jaxmocap.silhouette.state import State
@@ -60,7 +60,7 @@ def dressed(tracker: SilhouetteTracker, pose: Pose) -> list[np.ndarray]:
     """The body painted point by point, the farthest first; forearms and hands are bare."""
     points = tracker.body.shape.surface.points
     bare = [BODY.tree.bone(f"{bone}_{side}") for bone in ("radius", "hand") for side in "lr"]
-    skin = np.isin(carriers(points), bare)
+    skin = np.isin(carrying_bones(points)[0], bare)
     images = []
     for pixels, depths in zip(
         *body_pixels(BODY, pose, tracker.constants.cameras, points), strict=True
@@ -118,7 +118,7 @@ def test_an_arm_that_no_silhouette_misses_is_missed_by_its_colour(tracker, state
 def boxed(tracker: SilhouetteTracker, *bones: str) -> list[np.ndarray]:
     """Arms ahead, a box before some bones in all images: from both sides, before both arms."""
     images, points = dressed(tracker, AHEAD), tracker.body.shape.surface.points
-    behind = np.isin(carriers(points), [BODY.tree.bone(bone) for bone in bones])
+    behind = np.isin(carrying_bones(points)[0], [BODY.tree.bone(bone) for bone in bones])
     for image, pixels in zip(
         images if bones else (),
         body_pixels(BODY, AHEAD, tracker.constants.cameras, points)[0],
@@ -183,7 +183,9 @@ def test_an_arm_that_was_learned_as_background_is_not_better_off_unseen(tracker,
 def test_what_lies_before_the_trunk_is_the_arm_only_in_its_hue(tracker, state, colour, low, high):
     recovery, images = tracker.body.recovery, dressed(tracker, HANGING)
     points = tracker.body.shape.surface.points
-    forearm = np.isin(carriers(points), [BODY.tree.bone("radius_l"), BODY.tree.bone("hand_l")])
+    forearm = np.isin(
+        carrying_bones(points)[0], [BODY.tree.bone("radius_l"), BODY.tree.bone("hand_l")]
+    )
     pixels, _ = body_pixels(BODY, CROSSED, tracker.constants.cameras, points)
     for image, at in zip(images, np.asarray(pixels)[:, forearm], strict=True):
         for place in np.rint(at).astype(int):

@@ -28,7 +28,7 @@ from jaxmocap.silhouette.recovery.limb_particle_filter import (
     distinct_particles,
     systematic_resampling,
 )
-from jaxmocap.silhouette.recovery.limbs import carriers, limb_chains
+from jaxmocap.silhouette.recovery.limbs import carrying_bones, limb_chains
 from jaxmocap.silhouette.recovery.lost_limbs import (
     LEAST_GAIN,
     UNEXPLAINED_SHARE,
@@ -191,7 +191,7 @@ def proposed(recovery, monkeypatch, explained: float, missing: float, before=Non
 def test_a_forearm_laid_over_its_upper_arm_explains_nothing_twice(tracker):
     surface, cameras = tracker.body.shape.surface, tracker.constants.cameras
     limb = limb_chains(BODY, surface)["arm_l"]
-    upper = carriers(surface.points) == limb.bones[0]
+    upper = carrying_bones(surface.points)[0] == limb.bones[0]
     region = Region(np.full((4, 2), -0.5, np.float32), np.full(4, 8.0, np.float32))
     pixels = np.asarray(body_pixels(BODY, bent(elbow_flex_l=0.0), cameras, surface.points)[0])[
         :, upper

@@ -21,7 +21,7 @@ from jaxmocap.silhouette.recovery.limb_likelihood import (
     Obstacles,
     obstacle_rings,
 )
-from jaxmocap.silhouette.recovery.limbs import LimbChain, bins_along, carriers, halves_of
+from jaxmocap.silhouette.recovery.limbs import LimbChain, bins_along, carrying_bones, halves_of
 from jaxmocap.silhouette.recovery.projected_body import ProjectedBody
 
 # Person without a body counts within a limb's length times this,
@@ -49,7 +49,7 @@ class EvidenceFinder:
     ):
         """Prepare for N points of the body and C cameras (stacked)."""
         self._skeleton, self._limbs = skeleton, tuple(limbs.values())
-        carrier = carriers(points)
+        carrier = carrying_bones(points)[0]
         halves = [half for limb in self._limbs for half in halves_of(limb)]
         self.nodes = np.array([np.isin(carrier, half.bones[half.radii > 0]) for half in halves])
         self._bins = [bins_along(skeleton, limb, points, ALONG_BONE) for limb in self._limbs]

@@ -71,11 +71,6 @@ def bone_radii(skeleton: Skeleton, surface: Surface, bones: np.ndarray) -> np.nd
     return np.array(radii, np.float32)
 
 
-def carriers(points: BodyPoints) -> np.ndarray:
-    """(N,) the bone that carries most of each point."""
-    return carrying_bones(points)[0]
-
-
 def carrying_bones(points: BodyPoints) -> tuple[np.ndarray, np.ndarray]:
     """(N,) the bone that carries most of each point, and (N, 3) the point in its frame."""
     bones, shares = np.asarray(points.bones), np.asarray(points.shares)
