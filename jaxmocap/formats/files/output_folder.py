@@ -103,10 +103,15 @@ class OutputFolder:
             stage = temporary_beside(self.path / "outputs")
             stage.mkdir()
         try:
-            with _errors_named_as_in(self.path, stage):
-                yield stage
+            yield stage
             with as_output_error(self.path):
                 self._move_into_place(stage, more_follows)
+        except FileError as error:
+            # A file of the hidden folder is named as it would be called in the end.
+            path, hidden = (Path(os.path.realpath(each)) for each in (error.path, stage))
+            if not path.is_relative_to(hidden):
+                raise
+            raise type(error)(self.path / path.relative_to(hidden), error.problem) from None
         finally:
             shutil.rmtree(stage, ignore_errors=True)
             if not there:
@@ -184,18 +189,6 @@ class OutputFolder:
                     (self.path / name).unlink()
             _write_list(self.path, others | wrote)
         self._written = wrote
-
-
-@contextmanager
-def _errors_named_as_in(folder: Path, stage: Path) -> Iterator[None]:
-    """Errors about a file of the hidden folder name it as it would be called in the end."""
-    try:
-        yield
-    except FileError as error:
-        path, hidden = (Path(os.path.realpath(each)) for each in (error.path, stage))
-        if not path.is_relative_to(hidden):
-            raise
-        raise type(error)(folder / path.relative_to(hidden), error.problem) from None
 
 
 def refuse_outputs(path: str | Path) -> None:
