@@ -237,7 +237,9 @@ def poses(draw, beyond: float = 0.0) -> Pose:
 
 def on_device(tree, dtype=None):
     """NumPy leaves as JAX arrays of the present precision, or of ``dtype``."""
-    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), dtype or float), tree)
+    # Converted on the host: on the device each shape would be a program.
+    dtype = jax.dtypes.canonicalize_dtype(dtype or float)
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, dtype)), tree)
 
 
 def in_double(tree):
@@ -245,7 +247,8 @@ def in_double(tree):
 
     def convert(leaf):
         array = np.asarray(leaf)
-        return jnp.asarray(array, float) if np.issubdtype(array.dtype, np.floating) else leaf
+        is_real = np.issubdtype(array.dtype, np.floating)
+        return jnp.asarray(array.astype(float)) if is_real else leaf
 
     return jax.tree.map(convert, tree)
 

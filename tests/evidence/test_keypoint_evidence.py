@@ -144,10 +144,11 @@ def test_a_landmark_costs_by_how_far_beyond_the_hips_it_is_against_the_detector(
     sure = np.ones((1, len(LANDMARKS)), np.float32)
     sure[0, 4], depths[4] = 0.0, 5.0
     lines = SightLines(camera[None], none, sure, depths[None].astype(np.float32))
-    actual = term.residual(model, posed_body(model, pose), Measurements(sight_lines=lines))[0]
+    body = jax.jit(posed_body)(model, pose)
+    actual = jax.jit(term.residual)(model, body, Measurements(sight_lines=lines))[0]
     expected = np.sign(off) * np.sqrt(TAILS * np.log1p(off**2 / TAILS))
     np.testing.assert_allclose(actual, expected, atol=1e-4)
-    assert not term.residual(model, posed_body(model, pose), Measurements()).size
+    assert not term.residual(model, body, Measurements()).size
 
 
 def test_a_detector_s_person_gets_the_limbs_of_ours():

@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import jax
@@ -67,6 +67,7 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 
 LOGARITHMS = np.array([0.04, -0.03], np.float32)
 COUNT = 2
+PROJECT = jax.jit(project)
 
 
 def frame(kind: str):
@@ -77,12 +78,12 @@ def frame(kind: str):
     if kind == "elbows with goals":
         there = there._replace(elbows=np.full((COUNT, 2, 3), 0.3, np.float32))
     if kind == "lines of sight":
-        pixels = np.asarray(project(CAMERAS[0], jnp.asarray(points_of(truth(COUNT)))))
+        pixels = np.asarray(PROJECT(CAMERAS[0], jnp.asarray(points_of(truth(COUNT)))))
         names, sure = LANDMARKS, np.full(pixels.shape[:2], 0.9)
         there = there._replace(sight_lines=lines_of_sight(CAMERAS[0], names, pixels, sure))
     pose, one = jax.tree.map(lambda part: on_device(part[1]), (truth(COUNT), there))
     step = 0.1 * np.random.default_rng(3).standard_normal(ROOT_DOF + pose.angles.size)
-    return retract(pose, on_device(step)), one
+    return jax.jit(retract)(pose, on_device(step)), one
 
 
 @jax.jit
@@ -120,7 +121,8 @@ def test_a_term_s_own_formula_is_its_derivative():
             return jnp.full((*body.markers.shape, model.skeleton.costs.size), 7.0)
 
     pose, one = frame("markers")
-    J = linearise_terms((Stated(),), MODEL, LOGARITHMS, pose, one).jacobian
+    linearised = jax.jit(partial(linearise_terms, (Stated(),), MODEL))
+    J = linearised(LOGARITHMS, pose, one).jacobian
     by_pose = J[:, : -len(LOGARITHMS)]
     np.testing.assert_array_equal(by_pose, np.full(by_pose.shape, 7.0))
 
@@ -148,7 +150,7 @@ def another_moment() -> Measurements:
     """All that any term may have measured, of a pose of its own."""
     pose = Pose(*(part[1] for part in truth(COUNT)))
     points, dofs = points_of(truth(COUNT)), ROOT_DOF + pose.angles.size
-    pixels = np.asarray(project(CAMERAS[0], jnp.asarray(points)))
+    pixels = np.asarray(PROJECT(CAMERAS[0], jnp.asarray(points)))
     sure = np.full(points.shape[:2], 0.9)
     depths = np.linspace(-0.4, 0.4, sure.size).reshape(sure.shape)
     lines = lines_of_sight(CAMERAS[0], LANDMARKS, pixels, sure, depths)
@@ -245,13 +247,13 @@ def test_what_a_term_needs_and_was_not_measured_is_stated(name):
     """Others have no residual, or one of the pose alone."""
     term, pose = TERMS[name], on_device(another_moment().centre)
     if not term.needs:
-        assert np.isfinite(residuals((term,), MODEL, pose, Measurements())).all()
+        assert np.isfinite(jax.jit(partial(residuals, (term,), MODEL))(pose, Measurements())).all()
         return
     for missing in term.needs:
         less = another_moment()._replace(**{missing: None})
         for call in (residuals, expand_terms):
             with pytest.raises(ValueError, match=f"needs measured '{missing}', which is missing"):
-                call((term,), MODEL, pose, less)
+                jax.eval_shape(partial(call, (term,), MODEL), pose, less)
 
 
 @jax.jit

@@ -94,6 +94,8 @@ def test_a_clock_that_is_set_at_every_packet_is_reported_at_every_tenfold(line):
         at = i / 1000
         line.bring(packet(0.0, at=at, stamp=float(i % 7) * 100))
         line.report_to(status)
+        if line.socket.senders.clock_jumps > 10_000:
+            break
     assert line.socket.senders.clock_jumps > 10_000
     lines = [each["what"] for each in status.messages if "clock" in each["what"]]
     assert lines == [
