@@ -118,7 +118,7 @@ def test_a_photograph_of_another_size_is_refused(shots, tmp_path, refusal):
     small = tmp_path / "small.png"
     cv2.imwrite(str(small), read(shots / "side.png")[::2, ::2])
     message = refusal(*asked(shots, tmp_path / "out", side=small))
-    assert "small.png" in message and "480 x 360" in message and "960 x 720" in message
+    assert "small.png" in message and "480 × 360" in message and "960 × 720" in message
 
 
 def test_what_is_no_image_is_refused(shots, tmp_path, refusal):
