@@ -165,24 +165,15 @@ class Program:
         if not _is_of_this_code(structure):
             return None
         name, key = self._name_and_key(leaves, structure)
-        return _read(name, key) or self._make(_like(leaves), structure, name, key)
-
-    def _name_and_key(self, leaves: list[Array], structure: Any) -> tuple[str, str]:
-        """Of the file that keeps it for such arguments."""
-        key = repr((self.name, self._static, str(structure), _like(leaves), _surroundings()))
-        return f"{self.name}-{_digest(key)}.program", key
-
-    def _make(
-        self, like: list[jax.ShapeDtypeStruct], structure: Any, name: str, key: str
-    ) -> export.Exported | None:
-        """What tracing makes, written there; None if JAX cannot export it."""
+        if (kept := _read(name, key)) is not None:
+            return kept
 
         def flat(*leaves: Array) -> Any:
             return self.jitted(*jax.tree.unflatten(structure, leaves))
 
         _name_containers()
         try:
-            blob = export.export(jax.jit(flat))(*like).serialize()
+            blob = export.export(jax.jit(flat))(*_like(leaves)).serialize()
         # It calls a library by a name that JAX may change (LAPACK's products with a QR's Q), or
         # returns a container that has no name.
         except ValueError:
@@ -191,6 +182,11 @@ class Program:
             _store.write(name, key, bytes(blob))
         # Read back, so that this start compiles what later ones will ask for.
         return export.deserialize(blob)
+
+    def _name_and_key(self, leaves: list[Array], structure: Any) -> tuple[str, str]:
+        """Of the file that keeps it for such arguments."""
+        key = repr((self.name, self._static, str(structure), _like(leaves), _surroundings()))
+        return f"{self.name}-{_digest(key)}.program", key
 
 
 _store: Store | None = None

@@ -16,7 +16,7 @@ from jaxmocap.capture.keypoints import marked_landmarks, select_person
 from jaxmocap.capture.timeline import Timeline
 from jaxmocap.evidence.keypoints import SightLines, estimated_depths, lines_of_sight
 from jaxmocap.formats.recordings.keypoints import Detections
-from jaxmocap.formats.recordings.recording import Recording, VideoSource
+from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import Camera
 
 
@@ -49,30 +49,17 @@ def lines_at_events(
     if all(each is None for each in keypoints):
         return None
     points_world = landmarks_over_time(recording.skeleton, marker_poses)
-    lines = [
-        _lines(recording, source, each, timeline.event_times, frames, points_world)
-        for source, each, frames in zip(
-            recording.videos, keypoints, timeline.frame_index.T, strict=True
-        )
-        if each is not None
-    ]
+    lines = []
+    columns = zip(recording.videos, keypoints, timeline.frame_index.T, strict=True)
+    for source, each, frames in columns:
+        if each is None:
+            continue
+        marked = marked_landmarks(recording, each.landmarks, timeline.event_times)
+        # Markers identify a person better than a pose, where they sit on enough of the landmarks.
+        enough = np.isfinite(marked).all(-1).sum(1) >= 2
+        by_pose = points_world[:, landmark_rows(each.landmarks)]
+        expected = np.where(enough[:, None, None], marked, by_pose)
+        expected[frames < 0] = np.nan
+        person = select_person(each.at_frames(frames), source.camera, expected)
+        lines.append(lines_to_person(recording.skeleton, source.camera, person))
     return jax.tree.map(lambda *parts: np.concatenate(parts, 1), *lines)
-
-
-def _lines(
-    recording: Recording,
-    source: VideoSource,
-    keypoints: Detections,
-    times: np.ndarray,
-    frames: np.ndarray,
-    points_world: np.ndarray,
-) -> SightLines:
-    """One camera's lines (E, 1, ...), of its frames (E,) or -1."""
-    names = keypoints.landmarks
-    marked = marked_landmarks(recording, names, times)
-    # Markers identify a person better than a pose, where they sit on enough of the landmarks.
-    enough = np.isfinite(marked).all(-1).sum(1) >= 2
-    expected = np.where(enough[:, None, None], marked, points_world[:, landmark_rows(names)])
-    expected[frames < 0] = np.nan
-    person = select_person(keypoints.at_frames(frames), source.camera, expected)
-    return lines_to_person(recording.skeleton, source.camera, person)

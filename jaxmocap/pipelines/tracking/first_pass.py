@@ -48,7 +48,14 @@ def scan_events(
     """Scan through the events, chunk by chunk."""
     began = perf_counter()
     about_images: list[tuple[str, ...]] = []
-    images = _images(events, readers, about_images) if readers else None
+
+    def images_of_events() -> Iterator[list[np.ndarray | None]]:
+        for event, frames in enumerate(events.timeline.frame_index):
+            images = _images_at(frames, readers)
+            about_images.append(tuple(events.image_warnings(event, images)))
+            yield images
+
+    images = images_of_events() if readers else None
     tracker.compile_ahead(scan=True)
     state = tracker.init(events.markers_world[0])
     times, about = events.timeline.event_times, list[tuple[str, ...]]()
@@ -140,16 +147,6 @@ def _lines_at(
 
 def _images_at(frames: np.ndarray, readers: Sequence[ForwardReader]) -> list[np.ndarray | None]:
     return [reader.at(int(index)) for reader, index in zip(readers, frames, strict=True)]
-
-
-def _images(
-    events: RecordingEvents, readers: Sequence[ForwardReader], about: list[tuple[str, ...]]
-) -> Iterator[list[np.ndarray | None]]:
-    """The images of each event; warnings about them are kept."""
-    for event, frames in enumerate(events.timeline.frame_index):
-        images = _images_at(frames, readers)
-        about.append(tuple(events.image_warnings(event, images)))
-        yield images
 
 
 def _keep_stages(
