@@ -6,6 +6,7 @@ import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -511,7 +512,8 @@ def test_reach_is_the_length_of_the_stretched_body():
 def test_a_limb_between_other_landmarks_is_a_warning(tmp_path, sound, wrists):
     """Exchanged wrists of a person whose arms hang; both tables of proportions are usual."""
     pose = Pose(np.zeros(3), np.eye(4)[0], np.zeros(21))
-    at = dict(zip(LANDMARKS, np.asarray(landmarks(sound.skeleton, on_device(pose))), strict=True))
+    points = np.asarray(jax.jit(landmarks)(sound.skeleton, on_device(pose)))
+    at = dict(zip(LANDMARKS, points, strict=True))
     used = {name: wrists.get(name, name) for name in LANDMARKS if name not in ("pelvis", "head")}
     write_trc(tmp_path / "static.trc", np.zeros(1), {name: at[name][None] for name in used})
     stated = {"static": "static.trc", "landmarks": used}
@@ -543,7 +545,7 @@ def test_lengths_of_a_long_recording_take_no_more_memory_than_those_of_a_short_o
 
 def test_pixels_are_those_of_the_camera_model(sound):
     camera, points = sound.videos[0].camera, sound.positions_world[::10].reshape(-1, 3)
-    expected = np.asarray(project(camera, jnp.asarray(points, jnp.float32)))
+    expected = np.asarray(jax.jit(project)(camera, jnp.asarray(points, jnp.float32)))
     np.testing.assert_allclose(visible_pixels(camera, points), expected, atol=0.01)
     behind = np.asarray(camera.position_world)[None] * 2
     assert np.isnan(visible_pixels(camera, behind)).all()

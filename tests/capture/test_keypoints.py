@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.geometry.cameras import project
 
+PROJECT = jax.jit(project)
 # A standing person seen from the front, pixels. The middle of the shoulders is no landmark.
 FRONT = {
     "nose": (320, 100),
@@ -497,7 +499,7 @@ def test_markers_on_landmarks_say_who_is_tracked():
     np.testing.assert_array_equal(predicted[:, 1:], recording.positions_world[:3])
     # A second person stands a metre further, and is listed first in the second frame.
     places = [predicted + np.array([0, y, 0]) for y in (0, 1)]
-    is_detected = [np.asarray(project(CAMERA, jnp.asarray(place, float))) for place in places]
+    is_detected = [np.asarray(PROJECT(CAMERA, jnp.asarray(place, float))) for place in places]
     is_detected = np.stack(is_detected, 1)
     is_detected[:, :, 0] = is_detected[:, :, 1]
     is_detected[1] = is_detected[1, ::-1]
@@ -521,7 +523,7 @@ def test_left_that_was_taken_for_right_is_turned_back_by_the_hands():
         for reach in (0.4, 0.03)
     )
     there = np.stack([apart, apart, together])
-    pixels = np.array(project(CAMERA, jnp.asarray(there, float)))
+    pixels = np.array(PROJECT(CAMERA, jnp.asarray(there, float)))
     pixels[1:] = pixels[1:][:, [1, 0, 3, 2]]
     people = Detections(np.arange(3), landmarks, pixels[:, None], np.full((3, 1, 4), 0.8))
     hands = there.copy()
@@ -536,7 +538,7 @@ def test_what_lies_behind_the_camera_predicts_nothing():
     # Both wrists behind the camera, then the left one only: the right one is all that is predicted.
     predicted = np.tile(np.array([6.0, 1.2, 1.3]), (2, 2, 1))
     predicted[1, 1] = [0.0, 0.0, 1.0]
-    pixels = np.asarray(project(CAMERA, jnp.asarray(predicted, float)))[:, None]
+    pixels = np.asarray(PROJECT(CAMERA, jnp.asarray(predicted, float)))[:, None]
     only_right = np.where([[[[False], [True]]]], pixels, np.nan)
     keypoints = Detections(np.arange(2), ("wrist_l", "wrist_r"), only_right, np.ones((2, 1, 2)))
     actual = select_person(keypoints, CAMERA, predicted).pixels_xy[:, 0]
@@ -605,7 +607,7 @@ def test_the_tracked_persons_elbows_lie_on_the_projected_reference(
     chosen = select_person(keypoints, source.camera, predicted)
     pixels, confidences = chosen.pixels_xy[:, 0], chosen.confidences[:, 0]
     index = [keypoints.landmarks.index(name) for name in TRUTH]
-    expected = np.asarray(project(source.camera, jnp.asarray(reference, float)))
+    expected = np.asarray(PROJECT(source.camera, jnp.asarray(reference, float)))
     distances = np.linalg.norm(pixels[:, index] - expected, axis=-1)
     assert (confidences[:, index] > 0).mean() > 0.95
     assert np.nanmedian(distances[:, :2], axis=0).max() < farthest

@@ -117,13 +117,16 @@ def sunk_pose(skeleton, depth):
     return pose._replace(position=pose.position.at[2].add(lift))
 
 
+SINKING = jax.jit(balance.sinking)
+
+
 def test_the_bow_is_in_proportion_to_the_sinking_and_bends_forward(skeleton):
     dofs = balance.spine_dofs(skeleton)
     factors = jnp.array([0.3, 0.2, 0.1])
     for depth in (0.1, 0.2, 0.3):
         pose = sunk_pose(skeleton, depth)
         after, free, bows = bowed(skeleton, pose, factors)
-        sunk = float(balance.sinking(skeleton, pose))
+        sunk = float(SINKING(skeleton, pose))
         assert bool(bows) and sunk > 0.03
         turned = np.asarray(after.angles - pose.angles)
         left = np.asarray(skeleton.limits)[dofs, 1] - np.asarray(pose.angles)[dofs]

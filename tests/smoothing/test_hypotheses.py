@@ -163,7 +163,7 @@ def test_a_forearm_that_points_the_other_way_is_turned_to_its_goals_before_a_sol
         np.radians([[0, 0, 0], [0, -150, 0]]).astype(np.float32),
         problem(COUNT, views(COUNT)),
     )
-    turned = jax.vmap(lambda pose: turn_pose(PERSON, pose, GRIPS, away))
+    turned = jax.jit(jax.vmap(lambda pose: turn_pose(PERSON, pose, GRIPS, away)))
     start = Trajectory(
         jax.tree.map(np.asarray, turned(on_device(truth(COUNT), jnp.float32))), NO_CHANGE
     )
