@@ -11,16 +11,16 @@ INPUTS: pixels of landmarks, a lens, a skeleton, the tilt by lines. OUTPUTS: a S
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from scipy.optimize import least_squares
 
-from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import Skeleton, landmark_rows
 from jaxmocap.calibration.vertical_lines import USUAL_TILT, CameraTilt
 from jaxmocap.compilation.arrays import on_device
-from jaxmocap.geometry.cameras import Camera, pixel_rays
+from jaxmocap.geometry.cameras import Camera, on_host, pixel_rays
 
 # Pairs of landmarks whose middles are looked at. Knees bend.
 PAIRS = ("ankle", "hip", "shoulder")
@@ -94,7 +94,8 @@ def camera_by_person(
         return None
     slopes = slopes[whole[np.linspace(0, len(whole) - 1, min(len(whole), MOST_FRAMES)).astype(int)]]
     # Of somebody at ease, above the floor.
-    points = np.asarray(landmarks(skeleton, relaxed_pose(skeleton)))
+    at_ease = jax.tree.map(lambda part: part[None], relaxed_pose(skeleton))
+    points = np.asarray(landmarks_over_time(skeleton, at_ease))[0]
     pairs = [landmark_rows((f"{pair}_l", f"{pair}_r")) for pair in PAIRS]
     heights = np.array([points[pair, 2].mean() for pair in pairs])
     heights += ANKLE_M - heights[0]
@@ -149,14 +150,13 @@ def _slopes(
     camera: Camera, names: tuple[str, ...], pixels_xy: np.ndarray, confidences: np.ndarray
 ) -> np.ndarray:
     """(F, K, 2) tangents, right and down, at which the pairs' middles are; NaN where not."""
-    columns, unturned = [], replace(camera, T_cam_world=on_device(np.eye(4)))
+    columns, unturned = [], replace(on_host(camera), T_cam_world=np.eye(4))
     for pair in PAIRS:
         sides = [f"{pair}_l", f"{pair}_r"]
         if not set(sides) <= set(names):
             return np.full((len(pixels_xy), len(PAIRS), 2), np.nan)
         rows = [names.index(side) for side in sides]
         middle = np.where(confidences[:, rows].min(1) > 0, pixels_xy[:, rows].mean(1).T, np.nan).T
-        level = jnp.asarray(middle, float)
-        rays = np.asarray(pixel_rays(unturned, level), float)
+        rays = np.asarray(pixel_rays(unturned, middle))
         columns.append(rays[:, :2] / rays[:, 2:])
     return np.stack(columns, 1)

@@ -12,11 +12,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
-import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.compilation.arrays import on_device
-from jaxmocap.geometry.cameras import Camera, pixel_rays
+from jaxmocap.geometry.cameras import Camera, on_host, pixel_rays
 
 # A line segment is as long at least as this share of the image's longer side; the longest count.
 SHORTEST, MOST_SEGMENTS = 0.03, 500
@@ -99,8 +97,8 @@ def _log_ratios(
     ends_xy: np.ndarray, lens: Camera, pitch: np.ndarray, roll: np.ndarray
 ) -> np.ndarray:
     """(..., N): how much more probable each segment is where the vertical has this tilt."""
-    level, c = replace(lens, T_cam_world=on_device(np.eye(4))), np.cos(pitch)
-    rays = np.asarray(pixel_rays(level, jnp.asarray(ends_xy, jnp.float32)), float)
+    level, c = replace(on_host(lens), T_cam_world=np.eye(4)), np.cos(pitch)
+    rays = np.asarray(pixel_rays(level, ends_xy))
     normals = np.cross(rays[:, 0], rays[:, 1])
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     up_cam = np.stack([c * np.sin(roll), -c * np.cos(roll), -np.sin(pitch)], -1)

@@ -142,6 +142,10 @@ class Program:
         """How many kinds of arguments this process has called it with, a compilation each."""
         return self._chosen()._cache_size()
 
+    def trace(self, *like: Any) -> jax.stages.Traced:
+        """Traced for arguments such as these."""
+        return self._chosen().trace(*self._first, *like)
+
     def _chosen(self) -> Any:
         """What is jitted: the function, or what looks up what was made of it."""
         options = _compiler_options(self._effort)

@@ -74,7 +74,9 @@ def retarget_motion(motion: Motion, skeleton: Skeleton) -> Motion:
     rows = np.flatnonzero(is_posed)
 
     def in_place(part: Array) -> Array:
-        return jnp.full((len(is_posed), *part.shape[1:]), jnp.nan, part.dtype).at[rows].set(part)
+        every = np.full((len(is_posed), *part.shape[1:]), np.nan, part.dtype)
+        every[rows] = part
+        return jnp.asarray(every)
 
     poses = jax.tree.map(in_place, poses._replace(position=root))
     return Motion(other, whole.times, poses, origin_world=whole.origin_world)
@@ -89,7 +91,7 @@ def _is_posed(motion: Motion) -> np.ndarray:
 def _posed_part(motion: Motion) -> Motion:
     """The motion at the samples that have a pose."""
     rows = _is_posed(motion)
-    poses = jax.tree.map(lambda part: jnp.asarray(part)[rows], motion.poses)
+    poses = jax.tree.map(lambda part: jnp.asarray(np.asarray(part)[rows]), motion.poses)
     return replace(motion, times=motion.times[rows], poses=poses, report=None)
 
 

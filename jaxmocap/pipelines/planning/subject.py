@@ -52,11 +52,11 @@ class Subject(NamedTuple):
         """The same with more markers; None where one of them is worn there already."""
         model, shape = self.model, (len(self.measured), len(landmarks))
         more = landmark_sites(model.skeleton, landmarks)
-        frames = forward(model.skeleton, jax.tree.map(lambda part: part[0], self.poses))
+        first = jax.tree.map(lambda part: part[:1], self.poses)
         there, worn = (
-            site_positions(model.skeleton, frames, each) for each in (more, model.markers)
+            np.asarray(_sites(model.skeleton, each, first))[0] for each in (more, model.markers)
         )
-        if (np.linalg.norm(np.asarray(there)[:, None] - np.asarray(worn), axis=-1) < SAME_M).any():
+        if (np.linalg.norm(there[:, None] - worn, axis=-1) < SAME_M).any():
             return None
         joined = replace(model, markers=joined_sites(model.markers, more))
         measured = np.concatenate([self.measured, np.ones(shape, bool)], 1)
