@@ -51,7 +51,7 @@ from jaxmocap.smoothing.window.events import (
 from jaxmocap.smoothing.window.solving import SOFTNESS
 from jaxmocap.smoothing.window.state import PLACES, EventArrays, WindowState, init
 from jaxmocap.smoothing.window.track import (
-    FADED_M,
+    OFF_MARKERS_M,
     Sample,
     TrackPose,
     at_event,
@@ -299,7 +299,8 @@ class FixedLagSmoother:
         if not ready and not (final and self._between):
             return []
         if self._fading is not None:
-            self._fading = self._fading.correct(found.correction.astype(float))
+            # Later frames still correct the speed of the newest poses, later samples hardly.
+            self._fading = self._fading.correct(*(found.correction * [[1.0], [not self._is_seen]]))
         track: list[TrackPose] = []
         for i in ready:
             earlier = [each for each in self._between if each.number < events[i].number]
@@ -323,11 +324,10 @@ class FixedLagSmoother:
         alike = ERRS_ALIKE if self._is_seen else ERRS_ALIKE_WITHOUT_VIDEO
         # Poses follow markers as if these were measured as precisely as is stated.
         noise = self._noise_variance**0.5
-        off = noise if noise > self.settings.markers.deviation else FADED_M
+        off = noise if noise > self.settings.markers.deviation else OFF_MARKERS_M
         deviations = np.hypot(alike * found.deviations.astype(float), off)
         if self._is_seen:
-            spread = deviations[ARM_LANDMARKS], found.arms_spread
-            deviations[ARM_LANDMARKS] = np.hypot(*spread)
+            deviations[ARM_LANDMARKS] = np.hypot(deviations[ARM_LANDMARKS], found.arms_spread)
         return deviations
 
     def _with_drift(self, deviations: np.ndarray, pose: np.ndarray) -> np.ndarray:

@@ -114,6 +114,13 @@ def test_a_walker_is_tracked_by_what_five_others_do(recordings):
         assert figures[f"{joint} within, %"] > 65, joint
 
 
+def test_live_a_walkers_elbows_shake_hardly_more_than_they_do(recordings):
+    """Each solve of the newest samples begins where the last one ended, and as fast."""
+    file = recordings / "people" / "person_11" / "recording_turn_three_height.toml"
+    figures = dict(zip(FIGURES, measure(file, mode="causal"), strict=True))
+    assert figures["acceleration, x"] < 1.5
+
+
 def test_noisy_markers_are_stated_to_be_so(recording):
     noise = np.random.default_rng(1).normal(0, 0.02, (COUNT, 3, 3))
     motion = track(replace(recording, positions_world=recording.positions_world + noise))

@@ -68,7 +68,8 @@ class Advanced(NamedTuple):
     poses: Numbers  # (E, 7 + D) packed, those that came among them
     given: Numbers  # (2,) the first that is given out now, and the first that is not
     left: Numbers  # () how many left the window
-    # (N,) tangent vector from where the event that was given out last is now to where it was then.
+    # (2, N) tangent vector from where the event that was given out last is now to where it was
+    # then, and its change per second.
     correction: Numbers
     deviations: Numbers  # (L, 3) of what is given out, world, metres
     # (L,) 1 where markers and video leave a landmark almost as uncertain as it is without them,
@@ -105,17 +106,31 @@ def advance(
     state, window = _solve_window(model, weighed, state)
     first, given, left = _schedule(model, state, is_last)
     state = _sure(weighed, state, window, first, given)
-    now = unpack(window.poses[jnp.maximum(first - 1, 0)])
-    correction = jnp.where(first > 0, difference(unpack(state.last_given), now), 0.0)
+    last = jnp.maximum(jnp.stack([first, given]) - 1, 0)
+    slopes = jax.vmap(_slope, (None, None, 0))(events, window.poses, last)
+    off = difference(unpack(state.last_given), unpack(window.poses[last[0]]))
+    correction = jnp.where(first > 0, jnp.stack([off, state.last_slope - slopes[0]]), 0.0)
     all_of_it, without = state.variances
     deviations, from_prior = landmark_deviations(all_of_it, without, settings.mismatch)
     advanced = Advanced(
         window.poses, jnp.stack([first, given]), left, correction, deviations, from_prior,
         state.arms_spread,
     )  # fmt: skip
-    last_given = jnp.where(given > first, window.poses[given - 1], state.last_given)
-    state = state._replace(given=given, last_given=last_given)
+    now = window.poses[last[1]], slopes[1]
+    last_given, last_slope = tree_where(given > first, now, (state.last_given, state.last_slope))
+    state = state._replace(given=given, last_given=last_given, last_slope=last_slope)
     return _shorten_state(weighed, state, window, left), advanced
+
+
+def _slope(events: EventArrays, poses: Array, i: Array) -> Array:
+    """(N,) tangent vector a second at the ith event, as ``cubic_step`` has it."""
+    rows = jnp.clip(i + jnp.arange(-1, 2, dtype=jnp.int32), 0, events.filled - 1)
+    before, here, after = (unpack(poses[row]) for row in rows)
+    spans = events.since[jnp.stack([i, rows[2]])]
+    ways = jnp.stack([difference(here, before), difference(after, here)]) / spans[:, None]
+    # The nearer neighbour counts more; one that is not there does not.
+    weights = jnp.where(rows[1:] > rows[:-1], spans[::-1], 0.0)
+    return jnp.sum(weights[:, None] * ways, 0) / jnp.maximum(jnp.sum(weights), 1e-9)
 
 
 def _pace(pace: Array, events: EventArrays) -> Array:

@@ -122,6 +122,7 @@ class WindowState(NamedTuple):
     drawn: Drawn | None  # their silhouettes' costs; None without cameras
     given: Array  # () how many of them were given out
     last_given: Array  # (7 + D,) the pose that was given out last, as it was then
+    last_slope: Array  # (N,) tangent vector a second there
     marginal: MarginalPrior  # about the first two
     # (2, 2 N, 2 N) the same for deviations: with silhouettes, which err alike and count less, and
     # without.
@@ -152,6 +153,7 @@ def init(model: Model, like: EventArrays) -> WindowState:
     )
     return WindowState(
         events, None if model.cameras is None else Drawn.never(PLACES, size, dtype), no, still,
+        jnp.zeros(size, dtype),
         MarginalPrior.none(size, dtype), jnp.zeros((2, REACH * size, REACH * size), dtype),
         jnp.asarray(1 / LASTING_HZ, dtype), no, jnp.zeros((2, 3, 3), dtype),
         jnp.zeros((2, len(LANDMARKS), 3), dtype), jnp.asarray(SURE_EVERY, jnp.int32),

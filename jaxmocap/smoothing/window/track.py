@@ -27,11 +27,11 @@ TRACK_A_CALL = 4
 LONGEST_INTERVAL_S = 0.1
 # In place of the seconds to an event that is not there.
 ENDLESS_S = 1e6
-# Corrections that fade in move the markers' points by no more than this, metres.
-FADED_M = 0.004
 # No point ends farther off its marker than this, metres. A limb that is pulled shakes its elbow.
 # The head's is two degrees at an orientation's lever.
-STRAY_M, HEAD_STRAY_M = 0.008, 0.004
+STRAY_M, HEAD_STRAY_M = 0.006, 0.004
+# Deviations count them as so far off, metres.
+OFF_MARKERS_M = 0.004
 # Steps that bring points back, how far one goes at most, metres, and their damping, metres: enough
 # for a stretched arm. A hand that is back from elsewhere would take the head along in one step.
 HOLDING_STEPS = 3
@@ -223,7 +223,9 @@ def move_near_markers(
     offset: Array,
     markers_world: Array,
 ) -> Pose:
-    """A pose moved by a tangent vector, its markers' points hardly.
+    """A pose moved by a tangent vector, and its points near to their markers.
+
+    What is near is left where it goes: a track that is continuous stays so.
 
     Args:
         model: M markers, D degrees of freedom.
@@ -233,15 +235,12 @@ def move_near_markers(
             missing; its point goes along.
     """
     skeleton, sites = model.skeleton, model.markers
-    own, there = (
-        site_positions(skeleton, forward(skeleton, each), sites)
-        for each in (pose, retract(pose, offset))
-    )
+    pose = retract(pose, offset)
+    points = site_positions(skeleton, forward(skeleton, pose), sites)
     of_head = np.isin(sites.bone_indices, skeleton.tree.bones_in("spine", "head"))
     stray = jnp.where(of_head, HEAD_STRAY_M, STRAY_M)[:, None]
-    off = own + clamp_lengths(there - own, FADED_M) - markers_world
-    goals = markers_world + clamp_lengths(off, stray)
-    return on_markers(model, retract(pose, offset), goals)
+    goals = markers_world + clamp_lengths(points - markers_world, stray)
+    return on_markers(model, pose, goals)
 
 
 def on_markers(model: Model, pose: Pose, markers_world: Array) -> Pose:
