@@ -273,7 +273,7 @@ def _name_containers() -> None:
 def _is_of_this_code(structure: Any) -> bool:
     """Whether all classes in a structure of arguments are this package's, or containers.
 
-    Of a user's own, such as a term, the code is not known: it may change from start to start.
+    A user's own, such as a term, may change from start to start, and its code is not in the key.
     """
     kind = (structure.node_data() or (None, None))[0]
     name = getattr(kind, "__module__", "builtins")

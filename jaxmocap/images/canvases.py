@@ -41,10 +41,10 @@ def canvas(
     blank = Canvas(black, nothing, black, nothing + 1, nothing)
     if image is None:
         return blank
-    shown = blank._replace(colour=part(image), inside=_inside(image.shape[:2], region, size))
+    filled = blank._replace(colour=part(image), inside=_inside(image.shape[:2], region, size))
     if background is None:
-        return shown
-    return shown._replace(
+        return filled
+    return filled._replace(
         room=np.rint(part(background.colour)).astype(np.uint8),
         noise=part(background.noise),
         certainty=mask_canvas(background.certainty, region, size),

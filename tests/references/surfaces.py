@@ -61,7 +61,7 @@ def step_cells(depth: np.ndarray, jump: float) -> set[tuple[int, int]]:
 def outline(
     x: np.ndarray, y: np.ndarray, depths: np.ndarray, size: int
 ) -> dict[tuple[int, int], int]:
-    """Cell (column, row) on the body's outline -> the node seen there, or the nearest beside it.
+    """Cell (column, row) on the body's outline -> the node visible there, or the nearest beside it.
 
     Args:
         x: (M,) column of every node on the canvas, not rounded.

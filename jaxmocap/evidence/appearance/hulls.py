@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.images.colours import Colours, colour_bins
-from jaxmocap.images.foreground import MOST_ODDS, SOFTNESS, weigh_odds
+from jaxmocap.images.foreground import MOST_ODDS, SOFTNESS
 
 # Directions in which a hull's corners lie.
 ANGLES = np.linspace(0, 2 * np.pi, 24, endpoint=False)
@@ -57,22 +57,3 @@ def part_odds(
     odds = np.clip(np.minimum(ratio, person + BENEFIT), -MOST_ODDS, MOST_ODDS)
     odds = cv2.GaussianBlur(odds.astype(np.float32), (0, 0), SOFTNESS)
     return np.where(elsewhere, np.float32(0), odds)
-
-
-# Weight of the pixels in the mean, below which they tell nothing.
-LEAST_WEIGHT = 0.05
-
-
-def share_of_person(odds: np.ndarray, core: np.ndarray) -> float:
-    """Share of the evidence where the person must be that speaks for the person, 0 to 1.
-
-    NaN where hardly any pixel there tells anything, or none is in the image.
-
-    Args:
-        odds: (h, w) log-odds that pixels show the person.
-        core: (h, w) bool, where the person must be.
-    """
-    if not core.any():
-        return np.nan
-    person, weight = (float(part.mean()) for part in weigh_odds(odds[core][:, None]))
-    return person / weight if weight > LEAST_WEIGHT else np.nan

@@ -25,7 +25,8 @@ from jaxmocap.body.surfaces.cones import cones, project_cones
 from jaxmocap.body.tree import Tree
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import Program
-from jaxmocap.evidence.appearance.hulls import draw_hulls, part_odds, share_of_person
+from jaxmocap.evidence.appearance.hulls import draw_hulls, part_odds
+from jaxmocap.evidence.appearance.presence import share_of_person, without_nobody
 from jaxmocap.evidence.silhouettes import FOREARMS, LegGrid, SilhouetteGrids
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, on_host, pixels_per_metre, project
 from jaxmocap.geometry.outlines import Discs
@@ -57,9 +58,6 @@ POSES_A_CALL = 64
 MARGIN = 0.12
 # Around the legs.
 LEG_MARGIN = 0.15
-# A camera shows nobody where the person must be if less than this share of its evidence there
-# speaks for the person: it films another room, or at another time, or stands elsewhere.
-LEAST_SHARE = 0.5
 # Share of a limb's thickness that surely is the limb.
 CORE = 0.7
 # Multiple of its thickness within which it surely is,
@@ -277,11 +275,7 @@ def silhouette_grids(
         odds, own = body_grids(image, learned, drawing, i, regions.of(i))
         grids.append(own)
         shares.append(share_of_person(odds, drawing.trunk_and_arms(i)))
-    stacked: SilhouetteGrids = jax.tree.map(lambda *parts: np.stack(parts), *grids)
-    counted = [share for share in shares if np.isfinite(share)]
-    if counted and np.median(counted) < LEAST_SHARE:
-        return stacked.each_grid(lambda grid: grid._replace(weight=0 * grid.weight))
-    return stacked
+    return without_nobody(jax.tree.map(lambda *parts: np.stack(parts), *grids), shares)
 
 
 def _no_grids(regions: Regions, drawing: Drawing, frame: int) -> SilhouetteGrids:

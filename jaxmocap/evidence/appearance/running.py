@@ -21,12 +21,10 @@ from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.compilation.arrays import pack_leaves, unpack_leaves
 from jaxmocap.compilation.programs import program
-from jaxmocap.evidence.appearance.hulls import share_of_person
 from jaxmocap.evidence.appearance.learned import (
     BARE,
     CELLS,
     CORE,
-    LEAST_SHARE,
     LEG_MARGIN,
     MARGIN,
     AppearanceModel,
@@ -36,6 +34,7 @@ from jaxmocap.evidence.appearance.learned import (
     in_image,
     landmark_halves,
 )  # fmt: skip
+from jaxmocap.evidence.appearance.presence import share_of_person, without_nobody
 from jaxmocap.evidence.silhouettes import FOREARMS, LegGrid, SilhouetteGrids
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.outlines import Discs
@@ -159,8 +158,8 @@ class RunningAppearance:
         cells = UPPER_CELLS, LOWER_CELLS
         odds, grids = body_grids(small, learned, drawing, 0, regions, cells)
         soft = grids.each_grid(lambda grid: _soft(grid, softness))
-        if len(self._shares) == SHARE_MEMORY and np.median(self._shares) < LEAST_SHARE:
-            soft = soft.each_grid(lambda grid: grid._replace(weight=0 * grid.weight))
+        if len(self._shares) == SHARE_MEMORY:
+            soft = without_nobody(soft, self._shares)
         return MeasuredFrame(small, odds, learned.background.certainty > 0.5, soft)
 
     def learn(self, frame: MeasuredFrame, size: tuple[int, int], pose: Pose) -> None:
