@@ -99,7 +99,6 @@ class HybridTracker:
         """Begin to compile what ``init`` and ``step``, or ``scan``, need, in threads beside."""
         self._solving()
         (self._refining_events if scan else self._refining)()
-        self._balancing()
 
     @cached_property
     def bow_factors(self) -> Array:
@@ -114,7 +113,6 @@ class HybridTracker:
             ValueError: other markers than the model's.
         """
         targets = self._targets("init", markers_world)
-        self._balancing()
         ik = self._solving()()(self.model, self.settings, *nowhere(self.model), targets).ik
         belief = no_belief(self.settings.elbow_search, ik.pose)
         return State(ik.pose, ik.feet, belief, no_thresholds(self.model.camera_count), None)
@@ -252,6 +250,8 @@ class HybridTracker:
     def _refining(self) -> Callable[[], Callable]:
         """What waits for ``refine`` of an event, likewise."""
 
+        self._balancing()
+
         def asked() -> tuple[Program, tuple]:
             solved, belief = self._shapes()
             elapsed = np.zeros((), self.model.dtype)
@@ -262,6 +262,8 @@ class HybridTracker:
 
     def _refining_events(self) -> Callable[[], Callable]:
         """What waits for the scan's ``refine``, likewise."""
+
+        self._balancing()
 
         def asked() -> tuple[Program, tuple]:
             one, belief = self._shapes()

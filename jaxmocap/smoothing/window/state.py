@@ -135,6 +135,7 @@ class WindowState(NamedTuple):
     stated: Array  # () how often poses were given out since
 
 
+@jax.jit
 def init(model: Model, like: EventArrays) -> WindowState:
     """A window without events.
 
