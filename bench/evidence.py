@@ -1,11 +1,11 @@
 """``python -m bench.evidence [RECORDINGS]``: kinds of evidence, one against another.
 
 First frame by frame, by the outlines alone, also with the learned background made flat, so that
-only what differs from it has edges; then over the whole recording, what the second pass
-makes of silhouettes against a learned background, of the forearms' learned colours and of 2-D key
-points. Synthetic recordings get key points made from the truth, with noise and some false ones. A
-real recording's are read from ``keypoints/CAMERA`` beside it, where there are any; if its reference
-was triangulated from them, as that of "balancing" was, that row praises itself.
+only what differs from it has edges; then over the whole recording, what the second pass makes of
+silhouettes against a learned background, of the forearms' colours and of 2-D key points. Synthetic
+recordings get key points made from the truth, with noise and some false ones. A real recording's
+are read from ``keypoints/CAMERA`` beside it, where there are any; if its reference was triangulated
+from them, as that of "balancing" was, that row praises itself.
 
 INPUTS: the folder of real recordings; without one the synthetic recordings alone.
 OUTPUTS: a table of the elbows' distances from the truth, and Metrics as JSON.
@@ -52,7 +52,7 @@ from jaxmocap.pipelines.keypoints.lines import lines_at_events
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scan_events
-from jaxmocap.pipelines.tracking.motions import Tracked, motions, steps_as_trajectory
+from jaxmocap.pipelines.tracking.motions import motions, steps_as_trajectory
 from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.smoothing.batch import CameraFrames, smooth_recording
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
@@ -196,10 +196,10 @@ class FirstRun:
         silhouettes = replace(usual.silhouettes, person=kind.person, forearms=kind.forearms)
         chosen = replace(usual, silhouettes=silhouettes)
         second_pass = smooth_recording(model, chosen, first, self.videos, lambda _: None)
-        return self.tracked(second_pass).motion
+        return self.tracked(second_pass)[0]
 
-    def tracked(self, smoothed: Trajectory | None = None) -> Tracked:
-        """As motions, by what a second pass estimated, or by the first pass alone."""
+    def tracked(self, smoothed: Trajectory | None = None) -> tuple[Motion, Motion]:
+        """By what a second pass estimated, or by the first pass alone; and without the video."""
         trajectory = smoothed or steps_as_trajectory(self.first_pass)
         return motions(self.tracker.model, self.events, self.first_pass, trajectory, {}, {})
 
@@ -218,11 +218,11 @@ def measure(clip: Clip, quick: bool, folder: Path) -> Iterator[tuple[str, np.nda
 
     recording = with_keypoints(clip, folder)
     own = FirstRun.through(recording)
-    both = own.tracked()
-    yield "markers alone", errors(both.markers_only)
+    motion, markers_only = own.tracked()
+    yield "markers alone", errors(markers_only)
     for name, settings in {} if quick else FRAME_BY_FRAME.items():
         yield name, errors(track(recording, settings, mode="nearest" if name == PAPER else "own"))
-    yield USUAL, errors(both.motion)
+    yield USUAL, errors(motion)
     if not quick:
         before = flattened(recording, own.videos, own.first_pass)
         yield BEFORE, errors(track(before, replace(Settings(), smooth=False)))

@@ -79,8 +79,23 @@ class HandFlow:
     times: np.ndarray  # (K + 1,) marker time of the frames, as the recording has it
     fields: np.ndarray  # (K, H', W', 2) flow to the next frame, pixels of the image
     spacing: float  # pixels of the image between a field's entries
-    camera: Camera  # that took them
+    camera: Camera  # that took them, on the host
     paths: Sequence[MarkerPath]  # of the hands
+
+    @classmethod
+    def of_frames(
+        cls,
+        camera: Camera,
+        video: FrameSource,
+        paths: Sequence[MarkerPath],
+        first: int,
+        count: int,
+        rough: bool = False,
+    ) -> "HandFlow":
+        """Of ``count`` frames of a camera's video; see ``flow_fields``."""
+        fields, spacing = flow_fields(video, first, count, rough)
+        # On the host: a few points are projected thousands of times.
+        return cls(video.times[first : first + count], fields, spacing, on_host(camera), paths)
 
     def flow_pair(self, lag: float, place_lag: float | None = None) -> FlowPair:
         """Flow and markers' motion if the video ran ``lag`` seconds later than stated.
@@ -106,8 +121,8 @@ class HandFlow:
         xy = np.full((len(points), 2), np.nan)
         if is_valid.any():
             xy[is_valid] = visible_pixels(self.camera, points[is_valid])
-        camera = on_host(self.camera)
-        return xy, HAND_HALF_SIDE_M * np.asarray(pixels_per_metre(camera, depth(camera, points)))
+        metre = pixels_per_metre(self.camera, depth(self.camera, points))
+        return xy, HAND_HALF_SIDE_M * np.asarray(metre)
 
     def _around(self, xy: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """(K, 2) median of each field in the square about (K, 2) pixels; NaN outside the image."""
@@ -123,16 +138,28 @@ class HandFlow:
         return np.where(inside[:, None], np.median(values, 1), np.nan)
 
 
-def flow_fields(video: FrameSource, first: int, count: int) -> tuple[np.ndarray, float]:
+def correlation(pair: FlowPair) -> float:
+    """Of flow and markers' motion, as vectors about zero; NaN where neither moves."""
+    measured, predicted = (np.nan_to_num(part) for part in pair)
+    size = np.sqrt((measured**2).sum() * (predicted**2).sum())
+    return float((measured * predicted).sum() / size) if size > 0 else float("nan")
+
+
+def flow_fields(
+    video: FrameSource, first: int, count: int, rough: bool = False
+) -> tuple[np.ndarray, float]:
     """Dense flow between ``count`` frames from the ``first`` one on.
+
+    ``rough`` is on half of the pixels a side and by the quickest search, in a tenth of the time.
 
     Returns:
         (count - 1, H', W', 2) pixels of the image, NaN where a frame cannot be read, and the
         spacing of its entries in pixels of the image.
     """
-    scale = min(1.0, MAX_SIDE_PX / max(video.size))
+    scale = min(1.0, MAX_SIDE_PX / (1 + rough) / max(video.size))
     width, height = (round(side * scale) for side in video.size)
-    solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    fine, quick = cv2.DISOPTICAL_FLOW_PRESET_MEDIUM, cv2.DISOPTICAL_FLOW_PRESET_FAST
+    solver = cv2.DISOpticalFlow.create(quick if rough else fine)
     images = (
         image if image is None else cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
         for _, image in islice(video.frames(luma=True), first, first + count)

@@ -5,21 +5,22 @@ the flow at the hands correlates best with their motion. Fine: weighted least sq
 difference, whose derivative by the lag is the hands' acceleration. The standard deviation is that
 over blocks of time drawn with replacement, since what disturbs the flow lasts for several frames.
 
-INPUTS: a Recording. OUTPUTS: a VideoOffset for each video: offset and deviation, or why there is
-none.
+INPUTS: a Recording. OUTPUTS: a VideoOffset for each video, or why there is none; the recording with
+other offsets.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
-import jax
 import numpy as np
 
-from jaxmocap.calibration.hand_flow import FlowPair, HandFlow, MarkerPath, flow_fields
-from jaxmocap.capture.video import FrameSource, open_video
+from jaxmocap.calibration.hand_flow import HandFlow, MarkerPath, correlation
+from jaxmocap.capture.video import open_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
+from jaxmocap.formats.time_series.tables import usual_step
 
 # A stretch of video whose lag is estimated lasts so many seconds at most,
 STRETCH_S = 10.0
@@ -49,14 +50,23 @@ MAX_STD_S = 0.005
 MAX_NEAREST_STD_S = 0.008
 # No smaller standard deviation is stated: flow has errors that blocks of time do not show.
 MIN_STD_S = 0.001
-# The bootstrap draws blocks of so many seconds,
-BLOCK_S = 0.25
-# so many times.
+# The bootstrap draws blocks of so many seconds: of a few blocks it would be sure of anything.
+BLOCK_S, LEAST_S = 0.25, 1.5
+# It draws so many times.
 BOOTSTRAP_DRAWS = 200
 # A drift is estimated where stretches are this far apart, seconds.
 MIN_DRIFT_SPAN_S = 60.0
 # Hands slower than this, pixels per frame, determine no lag.
 MIN_SPEED_PX = 0.5
+# Before a recording is tracked its clocks are looked at roughly, in one stretch of so many seconds
+ROUGH_STRETCH_S = 6.0
+# of the first minute, at most so far from what is stated.
+ROUGH_WITHIN_S, ROUGH_SEARCH_S = 60.0, 0.25
+# From such a lag on they are estimated; where a clock was right it was 0.02 s at most, of 12
+# rendered clips.
+ROUGH_LAG_S = 0.03
+# An offset is corrected by so many standard deviations at least.
+SURE_DEVIATIONS = 3.0
 
 
 @dataclass(frozen=True)
@@ -103,17 +113,53 @@ def estimate_video_offsets(recording: Recording, search: float = 1.0) -> list[Vi
     paths = hand_paths(recording.require_markers())
     if not paths:
         raise InputError(where, "[markers.on]: no hand's marker is present in four samples or more")
-    offsets = []
+    return [_video_offset(source, paths, search) for source in recording.videos]
+
+
+def correct_clocks(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
+    """With other offsets of those videos that surely move with the hands at another time.
+
+    And a sentence about each of these. Within ``ROUGH_SEARCH_S``; the more precise estimate is made
+    where a rough one finds that it might be needed.
+    """
+    paths, sources, sentences = hand_paths(recording), [], []
     for source in recording.videos:
-        video, lags = open_video(source), []
-        # On the host: what follows projects a few points thousands of times.
-        camera = jax.tree.map(np.asarray, source.camera)
-        for first, count in _stretches(video, paths):
-            fields, spacing = flow_fields(video, first, count)
-            times = video.times[first : first + count]
-            lags.append(_estimate_lag(HandFlow(times, fields, spacing, camera, paths), search))
-        offsets.append(combine_lags(source, lags))
-    return offsets
+        if not paths or abs(_rough_lag(source, paths)) < ROUGH_LAG_S:
+            sources.append(source)
+            continue
+        found = _video_offset(source, paths, ROUGH_SEARCH_S)
+        off = found.offset_s - source.offset
+        is_sure = found.is_found and abs(off) > max(ROUGH_LAG_S / 2, SURE_DEVIATIONS * found.std_s)
+        sources.append(replace(source, offset=found.offset_s) if is_sure else source)
+        if is_sure:
+            sentences.append(
+                f"{source.camera_name}: the image moves with the hands at offset = "
+                f"{found.offset_s:.4f} (± {found.std_s:.4f} s), where the recording states "
+                f"{source.offset:g}; tracked with what was found: write it into the file"
+            )
+    if not sentences:
+        return recording, ()
+    return replace(recording, videos=tuple(sources)), tuple(sentences)
+
+
+def _rough_lag(source: VideoSource, paths: Sequence[MarkerPath]) -> float:
+    """Seconds by which a video's hands move best with the markers; 0 where they hardly do."""
+    video = open_video(source)
+    within = int(np.searchsorted(video.times, video.times[0] + ROUGH_WITHIN_S))
+    stretches = _stretches(video.times[:within], paths, ROUGH_STRETCH_S, 1)
+    if not stretches:
+        return 0.0
+    flow = HandFlow.of_frames(source.camera, video, paths, *stretches[0], rough=True)
+    lags, scores = _correlations(flow, ROUGH_SEARCH_S)
+    best = int(np.argmax(scores))
+    return float(lags[best]) if scores[best] >= MIN_CORRELATION else 0.0
+
+
+def _video_offset(source: VideoSource, paths: Sequence[MarkerPath], search: float) -> VideoOffset:
+    """By all stretches of a video."""
+    flow_of = partial(HandFlow.of_frames, source.camera, video := open_video(source), paths)
+    stretches = _stretches(video.times, paths)
+    return combine_lags(source, [_estimate_lag(flow_of(*each), search) for each in stretches])
 
 
 def hand_paths(recording: Recording) -> list[MarkerPath]:
@@ -127,14 +173,22 @@ def hand_paths(recording: Recording) -> list[MarkerPath]:
     return [path for path in paths if path is not None]
 
 
-def _stretches(video: FrameSource, paths: Sequence[MarkerPath]) -> list[tuple[int, int]]:
-    """First frame and number of frames of the liveliest stretch in each equal part of a video."""
-    frames, fps = len(video), video.fps or 1.0
-    longest = max(2, min(frames, round(STRETCH_S * fps), MAX_STRETCH_FRAMES))
-    parts = int(np.clip(frames // longest, 1, MAX_STRETCHES))
+def _stretches(
+    times: np.ndarray,
+    paths: Sequence[MarkerPath],
+    longest_s: float = STRETCH_S,
+    most: int = MAX_STRETCHES,
+) -> list[tuple[int, int]]:
+    """First frame and number of frames of the liveliest stretch in each equal part of a video.
+
+    The ``times`` (F,) are its frames', marker time.
+    """
+    frames = len(times)
+    longest = max(2, min(frames, round(longest_s / (usual_step(times) or 1.0)), MAX_STRETCH_FRAMES))
+    parts = int(np.clip(frames // longest, 1, most))
     edges = np.linspace(0, frames, parts + 1).astype(int)
-    speeds = [np.linalg.norm(path.spline(video.times, 1), axis=-1) for path in paths]
-    inside = [np.isfinite(path.at(video.times)).all(-1) for path in paths]
+    speeds = [np.linalg.norm(path.spline(times, 1), axis=-1) for path in paths]
+    inside = [np.isfinite(path.at(times)).all(-1) for path in paths]
     lively = np.cumsum([0.0, *np.sum(np.where(inside, speeds, 0.0), 0)])
     stretches = []
     for start, end in pairwise(edges.tolist()):
@@ -148,9 +202,8 @@ def _stretches(video: FrameSource, paths: Sequence[MarkerPath]) -> list[tuple[in
 def _estimate_lag(flow: HandFlow, search: float) -> StretchLag:
     """The lag of one stretch."""
     middle = float(flow.times.mean())
-    lags = np.arange(-search, search + COARSE_STEP_S / 2, COARSE_STEP_S)
-    scores = np.array([correlation(flow.flow_pair(lag)) for lag in lags])
-    best = int(np.nanargmax(np.nan_to_num(scores, nan=-1.0)))
+    lags, scores = _correlations(flow, search)
+    best = int(np.argmax(scores))
     if reason := _why_unidentifiable(flow, lags, scores, best, search):
         return StretchLag(middle, np.nan, np.nan, float(scores[best]), reason)
     near = lags[best] + np.arange(-FINE_RANGE_S, FINE_RANGE_S + FINE_STEP_S / 2, FINE_STEP_S)
@@ -166,17 +219,19 @@ def _estimate_lag(flow: HandFlow, search: float) -> StretchLag:
     return StretchLag(middle, lag, float(np.hypot(std, MIN_STD_S)), float(scores[best]))
 
 
-def correlation(pair: FlowPair) -> float:
-    """Of flow and markers' motion, as vectors about zero; NaN where neither moves."""
-    measured, predicted = (np.nan_to_num(part) for part in pair)
-    size = np.sqrt((measured**2).sum() * (predicted**2).sum())
-    return float((measured * predicted).sum() / size) if size > 0 else float("nan")
+def _correlations(flow: HandFlow, search: float) -> tuple[np.ndarray, np.ndarray]:
+    """Lags (K,), seconds, and the correlation at each; -1 where neither moves."""
+    lags = np.arange(-search, search + COARSE_STEP_S / 2, COARSE_STEP_S)
+    scores = np.array([correlation(flow.flow_pair(lag)) for lag in lags])
+    return lags, np.nan_to_num(scores, nan=-1.0)
 
 
 def _why_unidentifiable(
     flow: HandFlow, lags: np.ndarray, scores: np.ndarray, best: int, search: float
 ) -> str:
     """Why the best lag is no estimate; empty where it is one."""
+    if np.ptp(flow.times) < LEAST_S:
+        return f"not identifiable: {np.ptp(flow.times):.1f} s long, expected {LEAST_S:g} at least"
     predicted = flow.flow_pair(float(lags[best])).predicted
     if not np.isfinite(predicted).any():
         return "not identifiable: the image does not show the hands"

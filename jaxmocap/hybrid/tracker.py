@@ -249,7 +249,6 @@ class HybridTracker:
 
     def _refining(self) -> Callable[[], Callable]:
         """What waits for ``refine`` of an event, likewise."""
-
         self._balancing()
 
         def asked() -> tuple[Program, tuple]:
@@ -262,7 +261,6 @@ class HybridTracker:
 
     def _refining_events(self) -> Callable[[], Callable]:
         """What waits for the scan's ``refine``, likewise."""
-
         self._balancing()
 
         def asked() -> tuple[Program, tuple]:

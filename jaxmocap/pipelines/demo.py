@@ -97,10 +97,12 @@ def demonstrate(
     recording = Recording.load(recording_folder.path / "recording.toml")
     tracked = track_both(recording, progress=progress, tracker=tracker)
     truth = recording_folder.path / "truth.trc"
-    before, after = (evaluate(motion, truth, ELBOW_PAIRS) for motion in reversed(tracked))
+    before, after = (
+        evaluate(motion, truth, ELBOW_PAIRS) for motion in (tracked.markers_only, tracked.motion)
+    )
 
     def write(stage: Path) -> list[Path]:
-        files = write_tracked(tracked.motion, recording, stage, tracker.settings, progress)
+        files = write_tracked(tracked.motion, tracked.recording, stage, tracker.settings, progress)
         curves = after.times, _by_joint(before), _by_joint(after)
         plot_elbow_errors(stage / PLOT_FILE, *curves, "Elbow errors")
         return [*files, stage / PLOT_FILE]

@@ -12,7 +12,13 @@ from scipy.interpolate import CubicSpline
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.calibration import sync as synced
 from jaxmocap.calibration.hand_flow import MAX_SIDE_PX, HandFlow, MarkerPath, flow_fields
-from jaxmocap.calibration.sync import StretchLag, combine_lags, estimate_video_offsets, hand_paths
+from jaxmocap.calibration.sync import (
+    StretchLag,
+    combine_lags,
+    correct_clocks,
+    estimate_video_offsets,
+    hand_paths,
+)
 from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
@@ -77,6 +83,42 @@ def test_an_offset_is_found_within_five_milliseconds(seed, offset):
     assert abs(actual.offset_s - offset) < FIVE_MS
     assert abs(actual.offset_s - offset) < 4 * actual.std_s < 4 * FIVE_MS
     assert actual.correlation > 0.6 and np.isnan(actual.drift_s_per_s)
+
+
+@pytest.mark.parametrize("offset", [0.06, -0.12])
+def test_an_offset_that_is_surely_wrong_is_corrected_and_a_right_one_stays(offset):
+    recording = recorded(waving(1), offset)
+    actual, (sentence,) = correct_clocks(recording)
+    assert abs(actual.videos[0].offset - offset) < FIVE_MS
+    assert f"webcam: the image moves with the hands at offset = {offset:.2f}"[:-1] in sentence
+    (source,) = actual.videos
+    assert correct_clocks(actual) == (actual, ())
+    near = replace(recording, videos=(replace(source, offset=source.offset + FIVE_MS),))
+    assert correct_clocks(near) == (near, ()), "less than what is surely wrong"
+
+
+def test_half_a_second_determines_no_offset():
+    recording = recorded(waving(1), 0.06)
+    times, images = recording.videos[0].frames
+    short = replace(recording.videos[0], frames=(times[:16], images[:16]))
+    recording = replace(recording, videos=(short,))
+    (actual,) = estimate_video_offsets(recording, search=0.2)
+    assert actual.reason == "not identifiable: 0.5 s long, expected 1.5 at least"
+    assert correct_clocks(recording) == (recording, ())
+
+
+def test_without_sure_evidence_a_stated_offset_stays():
+    unseen = recorded(waving(1), 0.06)
+    unseen.positions_world[3:] = np.nan
+    away = recorded(waving(1), 0.06)
+    away.positions_world[...] += [0.0, 50.0, 0.0]
+    for recording in (
+        recorded(still, 0.06),
+        recorded(waving(6), 0.0, film=waving(7)),
+        unseen,
+        away,
+    ):
+        assert correct_clocks(recording) == (recording, ())
 
 
 def test_an_offset_that_is_stated_is_where_the_search_begins():
@@ -176,14 +218,13 @@ def test_stretches_are_put_together_by_their_weights_and_tell_the_drift():
     assert combine_lags(source, [lost]).reason == "not identifiable"
 
 
-def test_a_long_video_is_looked_at_where_the_hands_are_liveliest(monkeypatch):
-    monkeypatch.setattr(synced, "STRETCH_S", 0.3)
+def test_a_long_video_is_looked_at_where_the_hands_are_liveliest():
     recording = recorded(still, 0.0)
     lively = recording.positions_world.copy()
     lively[97:120, 0, 1] += 0.2 * np.sin(np.arange(23))
     video = synced.open_video(recording.videos[0])
     paths = hand_paths(replace(recording, positions_world=lively))
-    stretches = synced._stretches(video, paths)
+    stretches = synced._stretches(video.times, paths, 0.3)
     assert len(stretches) == 6 and all(count == 9 for _, count in stretches)
     assert [first // 10 for first, _ in stretches] == [0, 1, 2, 3, 4, 5], "one in each sixth"
     assert stretches[3] == (31, 9), "frames 32 to 39 move"

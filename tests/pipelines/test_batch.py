@@ -100,7 +100,9 @@ def here(monkeypatch, tracked):
 
     monkeypatch.setattr(batch, "cluster_client", Nobody)
     monkeypatch.setattr(batch, "results_as_completed", each_done)
-    monkeypatch.setattr(batch, "track", lambda recording, settings, mode, progress: tracked)
+    monkeypatch.setattr(
+        batch, "track_both", lambda recording, *_, **__: (tracked, tracked, recording)
+    )
     monkeypatch.setattr(batch, "write_tracked", written)
 
 

@@ -40,6 +40,7 @@ from jaxmocap.outputs import viewer
 from jaxmocap.outputs.report import MISFIT_M
 from jaxmocap.pipelines import writing
 from jaxmocap.pipelines.summary import figures, frames_per_second, misfit, summary
+from jaxmocap.pipelines.tracking import events
 from jaxmocap.pipelines.tracking.events import elbow_warnings, without_video
 from jaxmocap.pipelines.tracking.motions import low_pass_poses
 from jaxmocap.pipelines.tracking.track import track, track_both
@@ -104,6 +105,27 @@ def test_why_a_landmark_is_where_it_is_is_stated(tracked, again):
         track_both(small_recording(), mode="causal", tracker=compiled(), why=True)
 
 
+def test_a_clock_that_is_surely_wrong_is_corrected_in_the_motion_and_for_the_outputs(
+    tracked, monkeypatch
+):
+    (right,) = small_recording().videos
+
+    def corrected(recording):
+        videos = (replace(recording.videos[0], offset=right.offset),)
+        return replace(recording, videos=videos), ("cam: another offset",)
+
+    monkeypatch.setattr(events, "correct_clocks", corrected)
+    wrong = replace(small_recording(), videos=(replace(right, offset=0.07),))
+    found = track_both(wrong, tracker=compiled())
+    assert "cam: another offset" in found.motion.report.settings["warnings"]
+    assert found.recording.videos[0].offset == right.offset
+    np.testing.assert_array_equal(found.motion.poses.angles, tracked.motion.poses.angles)
+    # A live run has no later frames, and the paper's method is as it is.
+    for other in ({"mode": "causal"}, {"settings": Settings(smooth=False)}):
+        unchanged = track_both(wrong, tracker=None if "settings" in other else compiled(), **other)
+        assert unchanged.recording.videos[0].offset == 0.07
+
+
 # What comes out ----------------------------------------------------------------------------------
 
 
@@ -136,7 +158,7 @@ def test_filters_are_reported():
 
 
 def test_the_markers_only_motion_has_the_same_times_and_other_elbows(tracked):
-    motion, before = tracked
+    motion, before, _ = tracked
     np.testing.assert_array_equal(before.times, motion.times)
     moved = np.linalg.norm(motion.joints()["elbow_l"] - before.joints()["elbow_l"], axis=1)
     assert 0.001 < moved.max() < 0.5

@@ -76,7 +76,9 @@ def run(options: argparse.Namespace) -> int:
     mode = mode_of(options, settings)
     # Whether the folder can be written to, before any work.
     tracked_folder(options.out, recording, [OPENSIM_FILE] if options.names else [])
-    motion = track_both(recording, settings, mode=mode, progress=True, why=options.why).motion
+    motion, _, recording = track_both(
+        recording, settings, mode=mode, progress=True, why=options.why
+    )
     warnings = exchanged_labels(recording)
     files = write_outputs(
         motion, recording, options.out, settings, True, warnings.append,

@@ -36,7 +36,7 @@ from jaxmocap.pipelines.batch.corpus import (
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.summary import frames_per_second
-from jaxmocap.pipelines.tracking.track import track
+from jaxmocap.pipelines.tracking.track import track_both
 from jaxmocap.pipelines.writing import tracked_folder, write_tracked
 
 # What a batch writes besides the recordings' own folders.
@@ -184,7 +184,7 @@ def track_one(job: Job) -> tuple[CorpusRow, bool] | str:
         keep_compiled()
         recording = load_recording(job.recording)
         folder = tracked_folder(job.folder, recording, [RECORD_FILE])
-        motion = track(recording, job.settings, mode=job.mode, progress=False)
+        motion, _, recording = track_both(recording, job.settings, mode=job.mode, progress=False)
         with folder.writing() as stage:
             write_tracked(motion, recording, stage, job.settings, progress=False)
             row = row_of(job, motion, perf_counter() - began)

@@ -14,13 +14,14 @@ import numpy as np
 
 from jaxmocap.body.motion import UNDETERMINED_M
 from jaxmocap.calibration.static_trial import measured_bones
+from jaxmocap.calibration.sync import correct_clocks
 from jaxmocap.capture.checks.lengths import check_stretched_arms
 from jaxmocap.capture.filters import Cleaning, filter_markers
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.keypoints import open_keypoints
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import Mode, Timeline, build_timeline
-from jaxmocap.capture.video import FrameSource
+from jaxmocap.capture.video import FrameSource, open_video
 from jaxmocap.evidence.markers import measured_noise
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.formats.recordings.recording import Recording
@@ -133,6 +134,15 @@ def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
     keypoints = tuple(map(open_keypoints, recording.videos, videos))
     warnings += tuple(warning for each in keypoints if each for warning in each.warnings)
     return Opened(recording, videos, keypoints, cleaning, noise, warnings)
+
+
+def with_correct_clocks(opened: Opened) -> Opened:
+    """The same, videos at other times where their images show that the stated offset is wrong."""
+    recording, warnings = correct_clocks(opened.recording)
+    if not warnings:
+        return opened
+    videos = list(map(open_video, recording.videos))
+    return opened._replace(recording=recording, videos=videos, warnings=opened.warnings + warnings)
 
 
 def step_warnings(report: StepReport) -> Iterator[str]:

@@ -22,6 +22,7 @@ from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.capture.filters import butterworth_low_pass
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.compilation.programs import program
+from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.pipelines.tracking.events import RecordingEvents, elbow_warnings
 from jaxmocap.smoothing.fixed_lag import SmoothedPose
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
@@ -31,10 +32,11 @@ EVENTS_A_CALL = 64
 
 
 class Tracked(NamedTuple):
-    """One run over a recording: the motion, and that of the same steps without the video."""
+    """One run over a recording."""
 
     motion: Motion
-    markers_only: Motion
+    markers_only: Motion  # of the same steps without the video
+    recording: Recording  # with its videos at the times at which they were tracked
 
 
 def steps_as_trajectory(first_pass: FirstPass) -> Trajectory:
@@ -82,8 +84,11 @@ def motions(
     trajectory: Trajectory,
     milliseconds: dict[str, list[float]],
     settings: dict,
-) -> Tracked:
-    """All samples as arrays, NaN before the first one with a marker; settings for the report."""
+) -> tuple[Motion, Motion]:
+    """A run's motion, and that of the same steps without the video; settings for the report.
+
+    They have all samples as arrays, NaN before the first one with a marker.
+    """
     person = trajectory.person(model.skeleton) if len(trajectory.proportions) else model.skeleton
     # Distances (E, M) of markers from the body, metres; turns (E, 2) of elbows by the video.
     each = trajectory.poses, first_pass.reports.marker_pose, first_pass.markers_world
@@ -112,7 +117,7 @@ def motions(
     listed = _warnings(events, first_pass, trajectory.unrecognised, report.elbow_deviations)
     report = replace(report, statuses=listed)
     alone = _motion(events, model.skeleton, first_pass.reports.marker_pose)
-    return Tracked(_motion(events, person, trajectory.poses, report), alone)
+    return _motion(events, person, trajectory.poses, report), alone
 
 
 def _at_samples(events: RecordingEvents, values: np.ndarray | Array) -> np.ndarray:

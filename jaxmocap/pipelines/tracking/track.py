@@ -9,6 +9,7 @@ INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its R
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from time import perf_counter
 
 import jax
@@ -27,7 +28,12 @@ from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.keypoints.lines import lines_at_events
 from jaxmocap.pipelines.progress import Progress, progress_bar
-from jaxmocap.pipelines.tracking.events import Opened, RecordingEvents, open_recording
+from jaxmocap.pipelines.tracking.events import (
+    Opened,
+    RecordingEvents,
+    open_recording,
+    with_correct_clocks,
+)
 from jaxmocap.pipelines.tracking.first_pass import scan_events, step_events
 from jaxmocap.pipelines.tracking.marked import MarkedPass, follow_markers, is_marked
 from jaxmocap.pipelines.tracking.motions import (
@@ -65,6 +71,9 @@ def track(
     tracker: HybridTracker | None = None,
 ) -> Motion:
     """Track a recording.
+
+    Where it is smoothed over all its frames, a video whose image surely moves with the hands at
+    another time than its offset states is taken at that time, and the report has a warning.
 
     Args:
         recording: markers, and any number of videos.
@@ -122,11 +131,14 @@ def track_both(
     clock, causal, began = Clock(), mode == "causal", perf_counter()
     opened = open_recording(recording, mode)
     tracker = tracker or HybridTracker.from_recording(opened.recording, settings)
-    used = opened.videos if tracker.model.camera_count else []
-    events = RecordingEvents.of(opened.recording, used, mode, opened.cleaning)
-    marked = not (causal and used) and is_marked(tracker)
+    has_video = bool(opened.videos) and tracker.model.camera_count > 0
+    marked = not (causal and has_video) and is_marked(tracker)
     # Markers that determine the body need no smoothing but by the video.
-    smooth = tracker.settings.smooth and (bool(used) or not marked)
+    smooth = tracker.settings.smooth and (has_video or not marked)
+    if smooth and has_video and not causal:
+        opened = with_correct_clocks(opened)
+    used = opened.videos if has_video else []
+    events = RecordingEvents.of(opened.recording, used, mode, opened.cleaning)
     if problem := unused_setting(tracker.settings, smooth or marked, causal):
         raise ValueError(problem)
     if used and mode != "nearest" and not (marked or smooth or tracker.settings.search):
@@ -197,7 +209,9 @@ def track_both(
     ended = trajectory or steps_as_trajectory(first)
     if cutoff:
         ended = ended._replace(poses=_low_pass(events, ended.poses, tracker, cutoff))
-    return motions(tracker.model, events, first, ended, clock.milliseconds, plain(figures))
+    as_tracked = replace(recording, videos=opened.recording.videos)
+    found = motions(tracker.model, events, first, ended, clock.milliseconds, plain(figures))
+    return Tracked(*found, as_tracked)
 
 
 def _turn_warnings(cameras: Sequence[str], turns_deg: Sequence[Sequence[float]]) -> tuple[str, ...]:
