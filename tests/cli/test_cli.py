@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import disk_full_at
 from small_recording import OUTPUTS, SAMPLES, write_small_recording
 
 from jaxmocap.cli import program as cli
@@ -175,6 +176,30 @@ def test_a_field_that_does_not_fit_is_named_with_its_file(folder, untracked, fil
 def test_an_output_that_is_a_file_is_refused_before_tracking(folder, refusal):
     given = ["track", folder / "recording.toml", "--out", folder / "cam.mp4" / "x"]
     assert "cam.mp4 is a file" in refusal(*given)
+
+
+@pytest.mark.parametrize(
+    ("work", "words"),
+    [
+        ("pipelines.tracking.track.track_both", "track recording.toml --out new"),
+        (
+            "calibration.calibrate.find_boards",
+            "calibrate intrinsics cam.mp4 --board 4x7 --square 1 --camera a --out calibration.toml",
+        ),
+        (
+            "pipelines.keypoints.detect.detect_keypoints",
+            f"keypoints --write --detector mediapipe --python {sys.executable} recording.toml",
+        ),
+    ],
+)
+def test_a_full_disk_is_noticed_before_any_work(folder, capsys, monkeypatch, work, words):
+    monkeypatch.setattr(f"jaxmocap.{work}", lambda *_, **__: pytest.fail("it has begun"))
+    monkeypatch.chdir(folder)
+    before = sorted(folder.rglob("*"))
+    with disk_full_at(1000):
+        assert main(words.split()) == 1
+    assert f" {words.split()[-1]}: cannot be written (" in capsys.readouterr().err
+    assert sorted(folder.rglob("*")) == before
 
 
 @pytest.mark.parametrize(
