@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.calibration.static_trial import measured_bones
+from jaxmocap.calibration.sync import clock_warnings
 from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.cameras import MarkerVisibility, check_recording, marker_visibility
 from jaxmocap.capture.checks.lengths import bone_list, check_stretched_arms
@@ -127,6 +128,8 @@ def check(recording: Recording) -> RecordingCheck:
     views = [
         marker_visibility(recording, *each) for each in zip(recording.videos, times, strict=True)
     ]
+    if not any(view.shown_share == 0 for view in views):
+        warnings += tuple(clock_warnings(recording, videos))
     measured = () if recording.path is None else measured_bones(recording.path)
     findings = [*check_recording(recording, times), *check_stretched_arms(recording, measured)]
     return RecordingCheck(recording, findings, views, warnings, measured)

@@ -17,6 +17,7 @@ from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.geometry.cameras import visible_pixels
+from jaxmocap.pipelines.check import check
 from jaxmocap.synthetic.drawing_camera import look_at
 
 SIZE, FPS, RATE, SECONDS = (160, 120), 30, 90, 3.0
@@ -102,6 +103,19 @@ def test_the_result_does_not_follow_the_markers_sample_clock():
         for shift in (0.0, 0.4 / RATE)
     ]
     assert np.ptp(actual) < 1e-3
+
+
+@pytest.mark.parametrize("seed", [1, 3, 4])
+def test_a_stated_offset_that_is_far_off_is_a_warning_of_check(seed):
+    for offset, count in ((0.0, 0), (0.01, 0), (0.4, 1), (-0.5, 1)):
+        warnings = check(recorded(waving(seed), offset, seed)).warnings
+        assert len(warnings) == count
+        assert all("webcam: where the hands are" in each for each in warnings)
+
+
+def test_hands_that_stand_still_show_no_wrong_offset():
+    assert not check(recorded(still, 0.4)).warnings
+    assert not check(recorded(waving(1, speed=0.05), 0.4)).warnings
 
 
 # What cannot be found ----------------------------------------------------------------------------

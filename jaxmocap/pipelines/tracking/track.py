@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
+from jaxmocap.calibration.sync import clock_warnings
 from jaxmocap.capture.filters import check_cutoff
 from jaxmocap.capture.footage import cached_frames, forward_readers
 from jaxmocap.capture.timeline import Mode
@@ -123,6 +124,7 @@ def track_both(
     opened = open_recording(recording, mode)
     tracker = tracker or HybridTracker.from_recording(opened.recording, settings)
     used = opened.videos if tracker.model.camera_count else []
+    clocks = tuple(clock_warnings(opened.recording, used)) if used else ()
     events = RecordingEvents.of(opened.recording, used, mode, opened.cleaning)
     marked = not (causal and used) and is_marked(tracker)
     # Markers that determine the body need no smoothing but by the video.
@@ -168,7 +170,7 @@ def track_both(
     cameras = [source.camera_name for source in recording.videos]
     # Each camera's estimated rotation against its calibration, a vector in its frame.
     turns = [] if trajectory is None else np.degrees(trajectory.turns_cam).tolist()
-    warnings = opened.warnings + _turn_warnings(cameras, turns)
+    warnings = opened.warnings + clocks + _turn_warnings(cameras, turns)
     if smooth and opened.noise > tracker.settings.smoothing.markers.deviation:
         shake = f"the markers shake by {1e3 * opened.noise:.0f} mm, a standard deviation of a"
         warnings += (f"{shake} coordinate; deviations allow for that",)
