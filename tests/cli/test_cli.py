@@ -1,6 +1,7 @@
 """The commands: what they write and print, and how they refuse bad input."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 from conftest import disk_full_at
 from small_recording import OUTPUTS, SAMPLES, write_small_recording
 
+from jaxmocap.cli import enter
 from jaxmocap.cli import program as cli
 from jaxmocap.cli.command import name_of
 from jaxmocap.cli.program import COMMANDS, GROUPS, main
@@ -70,6 +72,15 @@ def test_the_demo_shows_that_video_helps(tmp_path, capsys):
     # Its tracker, compiled ahead, has the body that the recording states.
     stated = Recording.load(out / "recording" / "recording.toml").skeleton
     np.testing.assert_array_equal(stated.lengths, standing_recording(1).skeleton.lengths)
+
+
+def test_a_command_keeps_the_compilers_log_to_itself(monkeypatch):
+    monkeypatch.setenv("TF_CPP_MIN_LOG_LEVEL", "")
+    monkeypatch.delenv("TF_CPP_MIN_LOG_LEVEL")
+    monkeypatch.setattr(sys, "argv", ["jaxmocap", "--version"])
+    with pytest.raises(SystemExit):
+        enter()
+    assert os.environ["TF_CPP_MIN_LOG_LEVEL"] == "3"
 
 
 def test_compiled_programs_are_kept_where_the_environment_says(monkeypatch, tmp_path):
