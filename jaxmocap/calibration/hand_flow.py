@@ -24,6 +24,8 @@ from jaxmocap.geometry.cameras import Camera, depth, on_host, pixels_per_metre, 
 MAX_SIDE_PX = 640
 # and kept for every second pixel.
 STRIDE = 2
+# Coarse steps of lags, seconds.
+COARSE_STEP_S = 0.01
 # Half the side of the square about a hand, metres.
 HAND_HALF_SIDE_M = 0.03
 # Points along its side: their median is what the hand does, whatever background lies between.
@@ -90,10 +92,9 @@ class HandFlow:
         paths: Sequence[MarkerPath],
         first: int,
         count: int,
-        rough: bool = False,
     ) -> "HandFlow":
         """Of ``count`` frames of a camera's video; see ``flow_fields``."""
-        fields, spacing = flow_fields(video, first, count, rough)
+        fields, spacing = flow_fields(video, first, count)
         # On the host: a few points are projected thousands of times.
         return cls(video.times[first : first + count], fields, spacing, on_host(camera), paths)
 
@@ -138,6 +139,13 @@ class HandFlow:
         return np.where(inside[:, None], np.median(values, 1), np.nan)
 
 
+def correlations(flow: HandFlow, search: float) -> tuple[np.ndarray, np.ndarray]:
+    """Lags (K,), seconds, and the correlation at each; -1 where neither moves."""
+    lags = np.arange(-search, search + COARSE_STEP_S / 2, COARSE_STEP_S)
+    scores = np.array([correlation(flow.flow_pair(lag)) for lag in lags])
+    return lags, np.nan_to_num(scores, nan=-1.0)
+
+
 def correlation(pair: FlowPair) -> float:
     """Of flow and markers' motion, as vectors about zero; NaN where neither moves."""
     measured, predicted = (np.nan_to_num(part) for part in pair)
@@ -145,21 +153,16 @@ def correlation(pair: FlowPair) -> float:
     return float((measured * predicted).sum() / size) if size > 0 else float("nan")
 
 
-def flow_fields(
-    video: FrameSource, first: int, count: int, rough: bool = False
-) -> tuple[np.ndarray, float]:
+def flow_fields(video: FrameSource, first: int, count: int) -> tuple[np.ndarray, float]:
     """Dense flow between ``count`` frames from the ``first`` one on.
-
-    ``rough`` is on half of the pixels a side and by the quickest search, in a tenth of the time.
 
     Returns:
         (count - 1, H', W', 2) pixels of the image, NaN where a frame cannot be read, and the
         spacing of its entries in pixels of the image.
     """
-    scale = min(1.0, MAX_SIDE_PX / (1 + rough) / max(video.size))
+    scale = min(1.0, MAX_SIDE_PX / max(video.size))
     width, height = (round(side * scale) for side in video.size)
-    fine, quick = cv2.DISOPTICAL_FLOW_PRESET_MEDIUM, cv2.DISOPTICAL_FLOW_PRESET_FAST
-    solver = cv2.DISOpticalFlow.create(quick if rough else fine)
+    solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     images = (
         image if image is None else cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
         for _, image in islice(video.frames(luma=True), first, first + count)

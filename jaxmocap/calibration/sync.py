@@ -5,18 +5,18 @@ the flow at the hands correlates best with their motion. Fine: weighted least sq
 difference, whose derivative by the lag is the hands' acceleration. The standard deviation is that
 over blocks of time drawn with replacement, since what disturbs the flow lasts for several frames.
 
-INPUTS: a Recording. OUTPUTS: a VideoOffset for each video, or why there is none; the recording with
-other offsets.
+INPUTS: a Recording. OUTPUTS: a VideoOffset for each video: offset and deviation, or why there is
+none.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from jaxmocap.calibration.hand_flow import HandFlow, MarkerPath, correlation
+from jaxmocap.calibration.hand_flow import HandFlow, MarkerPath, correlations
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
@@ -28,9 +28,7 @@ STRETCH_S = 10.0
 MAX_STRETCH_FRAMES = 450
 # Stretches of one video.
 MAX_STRETCHES = 6
-# Lags that are tried, seconds: coarse steps over the whole range,
-COARSE_STEP_S = 0.01
-# fine steps about the best of them,
+# Lags that are tried about the coarse steps' best, seconds: fine steps
 FINE_STEP_S = 0.004
 # so far to both sides.
 FINE_RANGE_S = 0.06
@@ -58,15 +56,6 @@ BOOTSTRAP_DRAWS = 200
 MIN_DRIFT_SPAN_S = 60.0
 # Hands slower than this, pixels per frame, determine no lag.
 MIN_SPEED_PX = 0.5
-# Before a recording is tracked its clocks are looked at roughly, in one stretch of so many seconds
-ROUGH_STRETCH_S = 6.0
-# of the first minute, at most so far from what is stated.
-ROUGH_WITHIN_S, ROUGH_SEARCH_S = 60.0, 0.25
-# From such a lag on they are estimated; where a clock was right it was 0.02 s at most, of 12
-# rendered clips.
-ROUGH_LAG_S = 0.03
-# An offset is corrected by so many standard deviations at least.
-SURE_DEVIATIONS = 3.0
 
 
 @dataclass(frozen=True)
@@ -113,49 +102,10 @@ def estimate_video_offsets(recording: Recording, search: float = 1.0) -> list[Vi
     paths = hand_paths(recording.require_markers())
     if not paths:
         raise InputError(where, "[markers.on]: no hand's marker is present in four samples or more")
-    return [_video_offset(source, paths, search) for source in recording.videos]
+    return [video_offset(source, paths, search) for source in recording.videos]
 
 
-def correct_clocks(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
-    """With other offsets of those videos that surely move with the hands at another time.
-
-    And a sentence about each of these. Within ``ROUGH_SEARCH_S``; the more precise estimate is made
-    where a rough one finds that it might be needed.
-    """
-    paths, sources, sentences = hand_paths(recording), [], []
-    for source in recording.videos:
-        if not paths or abs(_rough_lag(source, paths)) < ROUGH_LAG_S:
-            sources.append(source)
-            continue
-        found = _video_offset(source, paths, ROUGH_SEARCH_S)
-        off = found.offset_s - source.offset
-        is_sure = found.is_found and abs(off) > max(ROUGH_LAG_S / 2, SURE_DEVIATIONS * found.std_s)
-        sources.append(replace(source, offset=found.offset_s) if is_sure else source)
-        if is_sure:
-            sentences.append(
-                f"{source.camera_name}: the image moves with the hands at offset = "
-                f"{found.offset_s:.4f} (± {found.std_s:.4f} s), where the recording states "
-                f"{source.offset:g}; tracked with what was found: write it into the file"
-            )
-    if not sentences:
-        return recording, ()
-    return replace(recording, videos=tuple(sources)), tuple(sentences)
-
-
-def _rough_lag(source: VideoSource, paths: Sequence[MarkerPath]) -> float:
-    """Seconds by which a video's hands move best with the markers; 0 where they hardly do."""
-    video = open_video(source)
-    within = int(np.searchsorted(video.times, video.times[0] + ROUGH_WITHIN_S))
-    stretches = _stretches(video.times[:within], paths, ROUGH_STRETCH_S, 1)
-    if not stretches:
-        return 0.0
-    flow = HandFlow.of_frames(source.camera, video, paths, *stretches[0], rough=True)
-    lags, scores = _correlations(flow, ROUGH_SEARCH_S)
-    best = int(np.argmax(scores))
-    return float(lags[best]) if scores[best] >= MIN_CORRELATION else 0.0
-
-
-def _video_offset(source: VideoSource, paths: Sequence[MarkerPath], search: float) -> VideoOffset:
+def video_offset(source: VideoSource, paths: Sequence[MarkerPath], search: float) -> VideoOffset:
     """By all stretches of a video."""
     flow_of = partial(HandFlow.of_frames, source.camera, video := open_video(source), paths)
     stretches = _stretches(video.times, paths)
@@ -173,36 +123,39 @@ def hand_paths(recording: Recording) -> list[MarkerPath]:
     return [path for path in paths if path is not None]
 
 
-def _stretches(
-    times: np.ndarray,
-    paths: Sequence[MarkerPath],
-    longest_s: float = STRETCH_S,
-    most: int = MAX_STRETCHES,
-) -> list[tuple[int, int]]:
+def _stretches(times: np.ndarray, paths: Sequence[MarkerPath]) -> list[tuple[int, int]]:
     """First frame and number of frames of the liveliest stretch in each equal part of a video.
 
     The ``times`` (F,) are its frames', marker time.
     """
-    frames = len(times)
-    longest = max(2, min(frames, round(longest_s / (usual_step(times) or 1.0)), MAX_STRETCH_FRAMES))
-    parts = int(np.clip(frames // longest, 1, most))
+    frames, step = len(times), usual_step(times) or 1.0
+    longest = max(2, min(frames, round(STRETCH_S / step), MAX_STRETCH_FRAMES))
+    parts = int(np.clip(frames // longest, 1, MAX_STRETCHES))
     edges = np.linspace(0, frames, parts + 1).astype(int)
+    stretches = [
+        liveliest_frames(times, paths, *ends, longest) for ends in pairwise(edges.tolist())
+    ]
+    return [stretch for stretch in stretches if stretch[1] > 1]
+
+
+def liveliest_frames(
+    times: np.ndarray, paths: Sequence[MarkerPath], start: int, end: int, longest: int
+) -> tuple[int, int]:
+    """First frame and number of frames, at most ``longest``, in which the hands move most."""
+    times = times[start:end]
     speeds = [np.linalg.norm(path.spline(times, 1), axis=-1) for path in paths]
     inside = [np.isfinite(path.at(times)).all(-1) for path in paths]
     lively = np.cumsum([0.0, *np.sum(np.where(inside, speeds, 0.0), 0)])
-    stretches = []
-    for start, end in pairwise(edges.tolist()):
-        firsts = np.arange(start, max(start + 1, end - longest + 1))
-        ends = np.minimum(firsts + longest, end)
-        best = int(np.argmax(lively[ends] - lively[firsts]))
-        stretches.append((int(firsts[best]), int(ends[best] - firsts[best])))
-    return [stretch for stretch in stretches if stretch[1] > 1]
+    firsts = np.arange(max(1, end - start - longest + 1))
+    ends = np.minimum(firsts + longest, end - start)
+    best = int(np.argmax(lively[ends] - lively[firsts]))
+    return start + best, int(ends[best] - firsts[best])
 
 
 def _estimate_lag(flow: HandFlow, search: float) -> StretchLag:
     """The lag of one stretch."""
     middle = float(flow.times.mean())
-    lags, scores = _correlations(flow, search)
+    lags, scores = correlations(flow, search)
     best = int(np.argmax(scores))
     if reason := _why_unidentifiable(flow, lags, scores, best, search):
         return StretchLag(middle, np.nan, np.nan, float(scores[best]), reason)
@@ -217,13 +170,6 @@ def _estimate_lag(flow: HandFlow, search: float) -> StretchLag:
         reason = f"not identifiable, to {least:.0f} ms at best: move the hands faster or longer"
         return StretchLag(middle, np.nan, np.nan, float(scores[best]), reason)
     return StretchLag(middle, lag, float(np.hypot(std, MIN_STD_S)), float(scores[best]))
-
-
-def _correlations(flow: HandFlow, search: float) -> tuple[np.ndarray, np.ndarray]:
-    """Lags (K,), seconds, and the correlation at each; -1 where neither moves."""
-    lags = np.arange(-search, search + COARSE_STEP_S / 2, COARSE_STEP_S)
-    scores = np.array([correlation(flow.flow_pair(lag)) for lag in lags])
-    return lags, np.nan_to_num(scores, nan=-1.0)
 
 
 def _why_unidentifiable(

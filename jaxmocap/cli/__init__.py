@@ -18,6 +18,8 @@ LONGEST_WAIT_S = 5.0
 
 def enter() -> "NoReturn":
     """The program: run the command that its arguments name, and end the process."""
+    # XLA's log is for developers: "Very slow compile?" asks users to file a bug.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     try:
         import signal
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.body.subject import skeleton_stature
+from jaxmocap.calibration.clock_check import check_clocks
 from jaxmocap.calibration.static_trial import measured_bones
 from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.cameras import MarkerVisibility, check_recording, marker_visibility
@@ -127,6 +128,8 @@ def check(recording: Recording) -> RecordingCheck:
     views = [
         marker_visibility(recording, *each) for each in zip(recording.videos, times, strict=True)
     ]
+    if not any(view.shown_share == 0 for view in views):
+        warnings += check_clocks(recording, videos)[1]
     measured = () if recording.path is None else measured_bones(recording.path)
     findings = [*check_recording(recording, times), *check_stretched_arms(recording, measured)]
     return RecordingCheck(recording, findings, views, warnings, measured)

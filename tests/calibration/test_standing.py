@@ -162,6 +162,15 @@ def test_what_is_no_stance_is_refused(missing, height, message):
         calibrate_standing(PLACES, positions, R, "i", person(1.75))
 
 
+@pytest.mark.parametrize(("stood", "stated"), [("i", "t"), ("t", "i")])
+def test_hands_of_another_stance_are_refused(stood, stated):
+    """Their orientations would be a quarter turn off."""
+    for yaw in (0.0, 2.0):
+        devices = devices_of(person(1.75), stood, yaw, 1.75, np.random.default_rng(0))[:2]
+        with pytest.raises(StandingError, match=r"Left is [0-9]+ cm from where"):
+            calibrate_standing(PLACES, *devices, stated, person(1.75))
+
+
 # The live file -----------------------------------------------------------------------------------
 
 FILE = """\

@@ -11,18 +11,20 @@ from scipy.interpolate import CubicSpline
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.calibration import sync as synced
+from jaxmocap.calibration.clock_check import check_clocks
 from jaxmocap.calibration.hand_flow import MAX_SIDE_PX, HandFlow, MarkerPath, flow_fields
 from jaxmocap.calibration.sync import (
     StretchLag,
     combine_lags,
-    correct_clocks,
     estimate_video_offsets,
     hand_paths,
 )
+from jaxmocap.capture.video import open_video
 from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.geometry.cameras import visible_pixels
+from jaxmocap.pipelines.check import check
 from jaxmocap.synthetic.drawing_camera import look_at
 
 SIZE, FPS, RATE, SECONDS = (160, 120), 30, 90, 3.0
@@ -85,16 +87,27 @@ def test_an_offset_is_found_within_five_milliseconds(seed, offset):
     assert actual.correlation > 0.6 and np.isnan(actual.drift_s_per_s)
 
 
+def checked(recording: Recording) -> tuple[float, tuple[str, ...]]:
+    """The offset to take, and what is said of it."""
+    actual, sentences = check_clocks(recording, [open_video(recording.videos[0])])
+    return actual.videos[0].offset, sentences
+
+
+def stating(recording: Recording, offset: float) -> Recording:
+    return replace(recording, videos=(replace(recording.videos[0], offset=offset),))
+
+
 @pytest.mark.parametrize("offset", [0.06, -0.12])
 def test_an_offset_that_is_surely_wrong_is_corrected_and_a_right_one_stays(offset):
     recording = recorded(waving(1), offset)
-    actual, (sentence,) = correct_clocks(recording)
-    assert abs(actual.videos[0].offset - offset) < FIVE_MS
-    assert f"webcam: the image moves with the hands at offset = {offset:.2f}"[:-1] in sentence
-    (source,) = actual.videos
-    assert correct_clocks(actual) == (actual, ())
-    near = replace(recording, videos=(replace(source, offset=source.offset + FIVE_MS),))
-    assert correct_clocks(near) == (near, ()), "less than what is surely wrong"
+    actual, (sentence,) = checked(recording)
+    assert abs(actual - offset) < FIVE_MS
+    assert f"webcam: the image moves with the hands at offset = {actual:.4f} (± " in sentence
+    assert "where the recording states 0: write it into the file" in sentence
+    assert check(recording).warnings == (sentence,)
+    assert checked(stating(recording, actual)) == (actual, ())
+    near = actual + FIVE_MS
+    assert checked(stating(recording, near)) == (near, ()), "less than what is surely wrong"
 
 
 def test_half_a_second_determines_no_offset():
@@ -104,7 +117,7 @@ def test_half_a_second_determines_no_offset():
     recording = replace(recording, videos=(short,))
     (actual,) = estimate_video_offsets(recording, search=0.2)
     assert actual.reason == "not identifiable: 0.5 s long, expected 1.5 at least"
-    assert correct_clocks(recording) == (recording, ())
+    assert checked(recording) == (0.0, ())
 
 
 def test_without_sure_evidence_a_stated_offset_stays():
@@ -112,13 +125,10 @@ def test_without_sure_evidence_a_stated_offset_stays():
     unseen.positions_world[3:] = np.nan
     away = recorded(waving(1), 0.06)
     away.positions_world[...] += [0.0, 50.0, 0.0]
-    for recording in (
-        recorded(still, 0.06),
-        recorded(waving(6), 0.0, film=waving(7)),
-        unseen,
-        away,
-    ):
-        assert correct_clocks(recording) == (recording, ())
+    for recording in (recorded(still, 0.06), unseen, away):
+        assert checked(recording) == (0.0, ())
+    offset, (sentence,) = checked(recorded(waving(6), 0.0, film=waving(7)))
+    assert offset == 0.0 and "where the hands are the image does not move as they do" in sentence
 
 
 def test_an_offset_that_is_stated_is_where_the_search_begins():
@@ -144,6 +154,19 @@ def test_the_result_does_not_follow_the_markers_sample_clock():
         for shift in (0.0, 0.4 / RATE)
     ]
     assert np.ptp(actual) < 1e-3
+
+
+@pytest.mark.parametrize("seed", [1, 3, 4])
+def test_a_stated_offset_that_is_far_off_is_a_warning_of_check(seed):
+    for offset, count in ((0.0, 0), (0.01, 0), (0.4, 1), (-0.5, 1)):
+        warnings = check(recorded(waving(seed), offset, seed)).warnings
+        assert len(warnings) == count
+        assert all("webcam: where the hands are" in each for each in warnings)
+
+
+def test_hands_that_stand_still_show_no_wrong_offset():
+    assert not check(recorded(still, 0.4)).warnings
+    assert not check(recorded(waving(1, speed=0.05), 0.4)).warnings
 
 
 # What cannot be found ----------------------------------------------------------------------------
@@ -218,13 +241,14 @@ def test_stretches_are_put_together_by_their_weights_and_tell_the_drift():
     assert combine_lags(source, [lost]).reason == "not identifiable"
 
 
-def test_a_long_video_is_looked_at_where_the_hands_are_liveliest():
+def test_a_long_video_is_looked_at_where_the_hands_are_liveliest(monkeypatch):
+    monkeypatch.setattr(synced, "STRETCH_S", 0.3)
     recording = recorded(still, 0.0)
     lively = recording.positions_world.copy()
     lively[97:120, 0, 1] += 0.2 * np.sin(np.arange(23))
     video = synced.open_video(recording.videos[0])
     paths = hand_paths(replace(recording, positions_world=lively))
-    stretches = synced._stretches(video.times, paths, 0.3)
+    stretches = synced._stretches(video.times, paths)
     assert len(stretches) == 6 and all(count == 9 for _, count in stretches)
     assert [first // 10 for first, _ in stretches] == [0, 1, 2, 3, 4, 5], "one in each sixth"
     assert stretches[3] == (31, 9), "frames 32 to 39 move"

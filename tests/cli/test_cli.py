@@ -1,14 +1,17 @@
 """The commands: what they write and print, and how they refuse bad input."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import disk_full_at
 from small_recording import OUTPUTS, SAMPLES, write_small_recording
 
+from jaxmocap.cli import enter
 from jaxmocap.cli import program as cli
 from jaxmocap.cli.command import name_of
 from jaxmocap.cli.program import COMMANDS, GROUPS, main
@@ -69,6 +72,15 @@ def test_the_demo_shows_that_video_helps(tmp_path, capsys):
     # Its tracker, compiled ahead, has the body that the recording states.
     stated = Recording.load(out / "recording" / "recording.toml").skeleton
     np.testing.assert_array_equal(stated.lengths, standing_recording(1).skeleton.lengths)
+
+
+def test_a_command_keeps_the_compilers_log_to_itself(monkeypatch):
+    monkeypatch.setenv("TF_CPP_MIN_LOG_LEVEL", "")
+    monkeypatch.delenv("TF_CPP_MIN_LOG_LEVEL")
+    monkeypatch.setattr(sys, "argv", ["jaxmocap", "--version"])
+    with pytest.raises(SystemExit):
+        enter()
+    assert os.environ["TF_CPP_MIN_LOG_LEVEL"] == "3"
 
 
 def test_compiled_programs_are_kept_where_the_environment_says(monkeypatch, tmp_path):
@@ -175,6 +187,30 @@ def test_a_field_that_does_not_fit_is_named_with_its_file(folder, untracked, fil
 def test_an_output_that_is_a_file_is_refused_before_tracking(folder, refusal):
     given = ["track", folder / "recording.toml", "--out", folder / "cam.mp4" / "x"]
     assert "cam.mp4 is a file" in refusal(*given)
+
+
+@pytest.mark.parametrize(
+    ("work", "words"),
+    [
+        ("pipelines.tracking.track.track_both", "track recording.toml --out new"),
+        (
+            "calibration.calibrate.find_boards",
+            "calibrate intrinsics cam.mp4 --board 4x7 --square 1 --camera a --out calibration.toml",
+        ),
+        (
+            "pipelines.keypoints.detect.detect_keypoints",
+            f"keypoints --write --detector mediapipe --python {sys.executable} recording.toml",
+        ),
+    ],
+)
+def test_a_full_disk_is_noticed_before_any_work(folder, capsys, monkeypatch, work, words):
+    monkeypatch.setattr(f"jaxmocap.{work}", lambda *_, **__: pytest.fail("it has begun"))
+    monkeypatch.chdir(folder)
+    before = sorted(folder.rglob("*"))
+    with disk_full_at(1000):
+        assert main(words.split()) == 1
+    assert f" {words.split()[-1]}: cannot be written (" in capsys.readouterr().err
+    assert sorted(folder.rglob("*")) == before
 
 
 @pytest.mark.parametrize(

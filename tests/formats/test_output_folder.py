@@ -10,6 +10,7 @@ import pytest
 from conftest import complaint, disk_full_at
 
 from jaxmocap.cli.program import main
+from jaxmocap.formats.files import writing
 from jaxmocap.formats.files.errors import InputError, OutputError
 from jaxmocap.formats.files.output_folder import LIST_NAME, OutputFolder, read_list
 from jaxmocap.formats.files.writing import check_target, replacing, temporary_beside, write_text
@@ -220,7 +221,12 @@ def test_what_is_read_is_not_written(tmp_path):
             check_target(tmp_path / name, [tmp_path / "a.trc"])
 
 
-def test_a_full_disk_is_one_sentence_exit_code_1_and_the_file_as_it_was(tmp_path, capsys):
+@pytest.mark.parametrize("room", [0, writing.SMALLEST_ROOM_BYTES])
+def test_a_full_disk_is_one_sentence_exit_code_1_and_the_file_as_it_was(
+    tmp_path, capsys, monkeypatch, room
+):
+    """Whether it is full before the work or becomes so."""
+    monkeypatch.setattr(writing, "SMALLEST_ROOM_BYTES", room)
     subject = tmp_path / "subject.toml"
     assert main(["scale", "--height", "1.80", "--out", str(subject)]) == 0
     before = subject.read_bytes()

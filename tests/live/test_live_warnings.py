@@ -15,7 +15,13 @@ from test_live_run import Standing, packets_of, small_setup
 import jaxmocap.pipelines.live.loop
 from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.capture.streams.stream_clock import RATE_WINDOW_S, RATE_WINDOWS, StreamClock
-from jaxmocap.pipelines.live.loop import MIN_SAMPLES, Live, ReachState
+from jaxmocap.pipelines.live.loop import Live
+from jaxmocap.pipelines.live.marker_states import (
+    MIN_SAMPLES,
+    UPRIGHT_SAMPLES,
+    ReachState,
+    UprightState,
+)
 from jaxmocap.pipelines.live.status import LiveStatus
 
 FOUND_WITHIN_S = (RATE_WINDOWS + 0.5) * RATE_WINDOW_S
@@ -133,3 +139,27 @@ def test_every_tenfold_of_samples_beyond_reach_is_a_state_and_few_are_none():
     for sample in points:
         still.add(MarkerSample(0.0, sample, 0.0))
     assert still.state == ""
+
+
+@pytest.mark.parametrize(("axes", "along"), [([0, 1, 2], ""), ([2, 0, 1], "x"), ([1, 2, 0], "y")])
+def test_a_person_who_lies_along_another_axis_is_reported_once(axes, along):
+    """As of a sender whose axes are not those that its protocol states."""
+    recording = small_recording()
+    state, points = UprightState(recording.skeleton, recording.places), recording.positions_world
+    states = []
+    for i in range(3 * UPRIGHT_SAMPLES):
+        state.add(MarkerSample(i / 90, points[i % len(points)][:, axes], i / 90))
+        states.append(state.state)
+    assert not any(states[: UPRIGHT_SAMPLES - 1])
+    (sentence,) = set(states[UPRIGHT_SAMPLES:])
+    assert sentence == "" if not along else f"stands along the world's {along} (" in sentence
+
+
+def test_places_that_no_room_has_are_named_with_what_is_expected():
+    """As of a sender of millimetres."""
+    line, status = Line(), LiveStatus(StringIO())
+    for at in ARRIVALS[:40]:
+        line.bring(packet(1700.0, at=at, stamp=at))
+    line.report_to(status)
+    expected = "expected positions in metres, within 100 m of the origin"
+    assert any(each["what"].endswith(expected) for each in status.messages)

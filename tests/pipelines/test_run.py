@@ -110,11 +110,11 @@ def test_a_clock_that_is_surely_wrong_is_corrected_in_the_motion_and_for_the_out
 ):
     (right,) = small_recording().videos
 
-    def corrected(recording):
-        videos = (replace(recording.videos[0], offset=right.offset),)
-        return replace(recording, videos=videos), ("cam: another offset",)
+    def corrected(recording, videos):
+        sources = (replace(recording.videos[0], offset=right.offset),)
+        return replace(recording, videos=sources), ("cam: another offset",)
 
-    monkeypatch.setattr(events, "correct_clocks", corrected)
+    monkeypatch.setattr(events, "check_clocks", corrected)
     wrong = replace(small_recording(), videos=(replace(right, offset=0.07),))
     found = track_both(wrong, tracker=compiled())
     assert "cam: another offset" in found.motion.report.settings["warnings"]

@@ -42,6 +42,8 @@ MAX_ARM_CHANGE = 0.12
 MAX_GAZE_DEG = 20.0
 # No device sits further from its bone, metres.
 MAX_OFFSET_M = 0.3
+# Hands further from where the stance has them, metres, are in another one.
+MAX_HAND_AWAY_M = 0.35
 # Hands nearer than this, metres, do not tell which way the body faces.
 MIN_HANDS_APART_M = 0.2
 _ARM_BONES = ("humerus", "radius")
@@ -105,7 +107,7 @@ def calibrate_standing(
 
     Raises:
         StandingError: neither hands nor headset tell which way the body faces, or the headset is
-            at no height that a person's is.
+            at no height that a person's is, or hands are not where the stance has them.
     """
     warnings: list[str] = []
     height = _stature(places, positions_world) if scaled else None
@@ -123,6 +125,7 @@ def calibrate_standing(
             changed[body.tree.bone(name)] = length
         body = replace(body, lengths=changed.astype(body.lengths.dtype))
     standing, orientations = stand(body, stance), {}
+    _check_hands(places, positions_world, R_world_body, standing)
     for place, R in zip(places, R_world_marker, strict=True):
         if np.isfinite(R).all():
             R_world_bone = R_world_body @ standing.R_body_bone[body.tree.bone(place.bone)]
@@ -226,6 +229,27 @@ def _check_headset(
                 f"{place.name} is stated to be {100 * abs(stated - eyes):.0f} cm "
                 f"{'above' if stated > eyes else 'below'} the eyes, and the stature was found as "
                 "if it were at them: state the height in [subject], or at = 0.4 of a headset"
+            )
+
+
+def _check_hands(
+    places: Sequence[MarkerPlace],
+    positions: np.ndarray,
+    R_world_body: np.ndarray,
+    standing: _Stand,
+) -> None:
+    """StandingError where a hand is elsewhere beside the head than in the stance."""
+    sites = np.stack([standing.site(place) for place in places])
+    on_head = [place.bone == "head" for place in places]
+    away = positions @ R_world_body - sites
+    if not any(on_head):
+        return
+    distances = np.linalg.norm(away - away[on_head].mean(0), axis=-1)
+    for place, distance in zip(places, distances, strict=True):
+        if place.bone.startswith("hand") and distance > MAX_HAND_AWAY_M:
+            raise StandingError(
+                f"{place.name} is {100 * distance:.0f} cm from where this stance has it: stand in "
+                "it until it is measured"
             )
 
 

@@ -6,16 +6,18 @@ where no tracking could mean anything (a person of 1,780 m), and a warning where
 or room might explain it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from jaxmocap.body.model import LOWER_LEG
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import skeleton_stature
 from jaxmocap.capture.checks import Finding
 from jaxmocap.capture.checks.body_reach import ReachCounts, standing_points
 from jaxmocap.capture.checks.lengths import check_lengths, check_proportions
 from jaxmocap.capture.checks.sides import check_heights, check_sides
+from jaxmocap.formats.recordings.marker_places import MarkerPlace
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.tables import usual_step
 from jaxmocap.geometry.origin import local_origin
@@ -70,7 +72,7 @@ def check_markers(recording: Recording) -> list[Finding]:
         return findings + unit
     findings += [
         *_check_origin(recording),
-        *_check_up(recording),
+        *check_up(recording.skeleton, recording.places, recording.positions_world),
         *check_proportions(recording),
         *check_sides(recording),
         *check_heights(recording),
@@ -181,12 +183,15 @@ def _check_times(recording: Recording) -> Iterator[Finding]:
         )
 
 
-def _check_up(recording: Recording) -> Iterator[Finding]:
+def check_up(
+    skeleton: Skeleton, places: Sequence[MarkerPlace], positions_world: np.ndarray
+) -> Iterator[Finding]:
+    """Whether the person stands along another axis than z, by samples (T, M, 3), metres."""
     # Markers that are mostly present, and (T', M', 3) the samples that have all of them.
-    is_present = np.asarray(np.isfinite(recording.positions_world).all(-1))
+    is_present = np.asarray(np.isfinite(positions_world).all(-1))
     kept = np.flatnonzero(is_present.mean(0) >= 0.5)
-    positions = recording.positions_world[is_present[:, kept].all(1)][:, kept]
-    heights = standing_points(recording.skeleton, recording.places)[kept, 2]
+    positions = positions_world[is_present[:, kept].all(1)][:, kept]
+    heights = standing_points(skeleton, places)[kept, 2]
     if not len(positions) or len(kept) < 2 or np.ptp(heights) < MIN_HEIGHTS_M:
         return
     centred = heights - heights.mean()

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from jaxmocap.capture.streams.osc import MAX_DISTANCE_M
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.senders import PacketSenders
 from jaxmocap.formats.files.toml import TomlTable
@@ -63,7 +64,9 @@ class MarkerSource(Listener):
         who_may_send: where the live file states that.
     """
 
-    hints: ClassVar[Mapping[str, str]] = {}
+    hints: ClassVar[dict[str, str]] = {
+        "absurd": f"; expected positions in metres, within {MAX_DISTANCE_M:g} m of the origin"
+    }
     who_may_send: ClassVar[str] = ""
 
     def __init__(self, address: Any, timeout_s: float, senders: PacketSenders):

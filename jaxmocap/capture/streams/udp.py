@@ -58,7 +58,7 @@ class MarkerSocket(MarkerSource):
     send), or "scaled" (see ``osc.Packet``).
     """
 
-    hints: ClassVar = {
+    hints: ClassVar = MarkerSource.hints | {
         "scaled": "; devices come as .../Pos without .../Pos/Local: leave out 'raw' in [osc]"
     }
     who_may_send = "[osc] from = [...] lists who may send"

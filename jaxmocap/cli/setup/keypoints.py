@@ -28,10 +28,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     from jaxmocap.formats.files.toml import toml_value
+    from jaxmocap.formats.files.writing import check_target
     from jaxmocap.pipelines.keypoints.detect import detect_keypoints, keypoint_entries, put_into
 
     detector, path = detector_of(options), Path(options.recording)
     recording = recording_of(options)
+    if options.write:
+        check_target(path)
     folder = Path(options.out) if options.out else path.parent / FOLDER
     results = detect_keypoints(recording, detector, folder, progress=True)
     entries = keypoint_entries(results, path)

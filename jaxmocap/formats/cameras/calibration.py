@@ -25,7 +25,7 @@ from jaxmocap.formats.files.toml import (
     toml_key,
     write_toml,
 )
-from jaxmocap.formats.files.writing import write_text
+from jaxmocap.formats.files.writing import check_target, write_text
 from jaxmocap.formats.time_series.tables import FARTHEST_M
 from jaxmocap.geometry.cameras import Camera, lens_problem
 from jaxmocap.geometry.lenses import BROWN_CONRADY, FISHEYE, LENSES
@@ -226,7 +226,10 @@ def write_camera(path: str | Path, name: str, entries: Mapping[str, Any]) -> Non
 
 
 def check_camera_writable(path: Path, name: str) -> None:
-    """InputError where ``write_camera`` could not write this camera; asked before any work."""
+    """InputError where ``write_camera`` could not write this camera; asked before any work.
+
+    OutputError where no file can be written there.
+    """
     if path.suffix.lower() != ".toml":
         raise InputError(path, "cannot be written to, expected a .toml file")
     if not name or name == METADATA_SECTION:
@@ -236,6 +239,7 @@ def check_camera_writable(path: Path, name: str) -> None:
     if path.exists():
         TomlTable(path, f"[{name}]", read_toml(path).get(name, {}))
     check_replaceable(path, name)
+    check_target(path)
 
 
 def check_replaceable(path: Path, name: str | None = None) -> None:

@@ -23,6 +23,8 @@ from jaxmocap.formats.files.errors import InputError, OutputError
 # .jaxmocap-HOST-PROCESS-CHANCE.suffix: hidden, of this machine, and of a process that can be asked
 # for.
 _TEMPORARY_NAME = re.compile(r"\.jaxmocap-([0-9a-f]{8})-(\d+)-[0-9a-f]{8}(\..*)?")
+# A disk with less room is full before the work begins.
+SMALLEST_ROOM_BYTES = 2**20
 _HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 
 
@@ -81,7 +83,7 @@ def check_target(path: str | Path, inputs: Iterable[str | Path] = ()) -> Path:
     for each in inputs:
         if path.exists() and Path(each).exists() and path.samefile(each):
             raise InputError(path, "would be replaced while it is read, expected another name")
-    check_folder_writable(path.parent)
+    check_folder_writable(path.parent, path)
     return path
 
 
@@ -98,8 +100,13 @@ def check_file_name(path: Path) -> None:
         raise InputError(ascii(str(path)), "not a file's name on this system") from None
 
 
-def check_folder_writable(folder: Path) -> None:
-    """InputError where a folder cannot be made or written to; nothing is made."""
+def check_folder_writable(folder: Path, path: Path | None = None) -> None:
+    """Try whether a folder can be made and written to, and take away what was written.
+
+    Raises:
+        InputError: it is read-only, or a file.
+        OutputError: it takes no file, as on a full disk; of ``path``, or else of the folder.
+    """
     existing = folder
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent
@@ -107,6 +114,13 @@ def check_folder_writable(folder: Path) -> None:
         raise InputError(folder, f"cannot be a folder, {existing} is a file")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise InputError(folder, f"cannot be written to, {existing} is read-only")
+    probe = temporary_beside(existing / "probe")
+    with as_output_error(path or folder):
+        try:
+            probe.write_bytes(bytes(SMALLEST_ROOM_BYTES))
+            flush_to_disk(probe)
+        finally:
+            _remove(probe)
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:

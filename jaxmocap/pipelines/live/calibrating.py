@@ -24,6 +24,7 @@ from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembl
 from jaxmocap.formats.cameras.toml_sections import replace_entries, rewrite_toml
 from jaxmocap.formats.files.errors import InputError, OutputError, comma_list
 from jaxmocap.formats.files.toml import toml_value
+from jaxmocap.formats.files.writing import check_target
 from jaxmocap.pipelines.live.setup import LiveSetup
 from jaxmocap.pipelines.live.status import LiveStatus, stream_states
 
@@ -70,6 +71,7 @@ def calibrate_live(
         InputError: the live file cannot be changed in place; or an address cannot be had.
         OutputError: no device came in, nobody stood still, or what was measured is no stance.
     """
+    check_target(setup.path)
     listening = _Listening(setup, status, stop)
     try:
         if not listening.wait_for_devices():

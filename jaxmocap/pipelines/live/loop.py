@@ -15,7 +15,7 @@ returns.
 
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from time import monotonic
@@ -23,24 +23,20 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.capture.checks.body_reach import ReachCounts
 from jaxmocap.capture.streams.cameras import LiveCamera
 from jaxmocap.capture.streams.inbox import Inbox, LiveFrame
 from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
-from jaxmocap.formats.files.errors import short_name
-from jaxmocap.formats.recordings.marker_places import MarkerPlace, bone_point_binder
+from jaxmocap.formats.recordings.marker_places import bone_point_binder
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.senders.osc import DatagramSender
 from jaxmocap.outputs.senders.unity import UnityBody
 from jaxmocap.pipelines.live.frame_pace import FramePace
+from jaxmocap.pipelines.live.marker_states import ReachState, UprightState
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.setup import LiveSetup
-from jaxmocap.pipelines.live.status import SILENT_S, LiveStatus, stream_states, tenfold
+from jaxmocap.pipelines.live.status import SILENT_S, LiveStatus, stream_states
 from jaxmocap.pipelines.live.tracking import LiveTracking, Output
 
-# Fewer samples beyond reach are worth no line.
-MIN_SAMPLES = 10
 # Samples in the queue, at most: a tenth of a second of a headset's, and two where poses wait for
 # video frames anyway. Where more arrive than can be tracked, a longer queue would only add latency.
 LONGEST_QUEUE, LONGEST_SMOOTHED_QUEUE = 8, 16
@@ -55,35 +51,6 @@ COMPILING_FIRST = (
 )
 COMPILING_VIDEO = "poses come from the markers alone until the video's part is ready"
 COMPILING_REST = "poses come; getting the rest ready"
-
-
-class ReachState:
-    """Counts the samples whose markers are too far from one another.
-
-    Attributes:
-        state: which marker is, how far and how often; "" where none is. It changes with every
-            tenfold of their number.
-    """
-
-    def __init__(self, skeleton: Skeleton, places: Sequence[MarkerPlace]):
-        """Of markers at these places; no sample yet."""
-        self._counts, self._names = ReachCounts(skeleton, places), [p.name for p in places]
-        self._next, self.state = MIN_SAMPLES, ""
-
-    def add(self, sample: MarkerSample) -> None:
-        """Take a sample."""
-        measured = sample.measurements
-        positions = sample.positions_world if measured is None else measured.positions_world
-        worst = self._counts.worst() if self._counts.add(positions[None]) else None
-        if worst is None or worst.samples < self._next:
-            return
-        self._next *= 10
-        marker, other = (short_name(self._names[i]) for i in (worst.marker, worst.other))
-        reach = f"this body reaches {worst.allowed_m:.2f} m"
-        self.state = (
-            f"{marker} is up to {worst.farthest_m:.2f} m from {other}, {reach} "
-            f"({tenfold(worst.samples)} samples)"
-        )
 
 
 class Live:
@@ -131,7 +98,11 @@ class Live:
         gathering = SampleAssembler(
             setup.marker_names, setup.source.aliases, setup.R_world_source, self._take_sample, bind
         )
-        self._gathering, self._reach = gathering, ReachState(setup.skeleton, setup.places)
+        self._gathering = gathering
+        self._states = {
+            "out of reach": ReachState(setup.skeleton, setup.places),
+            "the vertical": UprightState(setup.skeleton, setup.places),
+        }
         self._source = setup.source.open(gathering, self._now)
         ending.callback(self._source.stop)
         colour = smooth or out is not None or self._viewer is not None
@@ -203,7 +174,8 @@ class Live:
         taken = self._inbox.take(0.05, self._pace is None or self._pace.is_due(began))
         took = self._now()
         if isinstance(taken, MarkerSample):
-            self._reach.add(taken)
+            for state in self._states.values():
+                state.add(taken)
             outputs = self.tracking.sample(taken)
         else:
             outputs = self.tracking.frames(taken) if taken else []
@@ -243,7 +215,8 @@ class Live:
         sources = self._source, self._gathering, self._cameras
         for subject, state in stream_states(*sources, now, self._setup.places):
             self.status.set_state(now, subject, state)
-        self.status.set_state(now, "out of reach", self._reach.state)
+        for subject, each in self._states.items():
+            self.status.set_state(now, subject, each.state)
         if self.recording is not None and self.recording.problem:
             self.status.set_state(now, "recording", self.recording.problem)
         received_at = {"markers": self._source.last_arrival} | {

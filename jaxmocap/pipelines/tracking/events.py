@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.motion import UNDETERMINED_M
+from jaxmocap.calibration.clock_check import check_clocks
 from jaxmocap.calibration.static_trial import measured_bones
-from jaxmocap.calibration.sync import correct_clocks
 from jaxmocap.capture.checks.lengths import check_stretched_arms
 from jaxmocap.capture.filters import Cleaning, filter_markers
 from jaxmocap.capture.footage import open_footage
@@ -136,13 +136,14 @@ def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
     return Opened(recording, videos, keypoints, cleaning, noise, warnings)
 
 
-def with_correct_clocks(opened: Opened) -> Opened:
-    """The same, videos at other times where their images show that the stated offset is wrong."""
-    recording, warnings = correct_clocks(opened.recording)
-    if not warnings:
-        return opened
-    videos = list(map(open_video, recording.videos))
-    return opened._replace(recording=recording, videos=videos, warnings=opened.warnings + warnings)
+def with_checked_clocks(opened: Opened, corrects: bool) -> Opened:
+    """The same with warnings about the videos' clocks; where asked for, by the offsets found."""
+    recording, warnings = check_clocks(opened.recording, opened.videos)
+    if warnings and corrects:
+        opened = opened._replace(
+            recording=recording, videos=[open_video(source) for source in recording.videos]
+        )
+    return opened._replace(warnings=opened.warnings + warnings)
 
 
 def step_warnings(report: StepReport) -> Iterator[str]:

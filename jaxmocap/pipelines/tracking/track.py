@@ -32,7 +32,7 @@ from jaxmocap.pipelines.tracking.events import (
     Opened,
     RecordingEvents,
     open_recording,
-    with_correct_clocks,
+    with_checked_clocks,
 )
 from jaxmocap.pipelines.tracking.first_pass import scan_events, step_events
 from jaxmocap.pipelines.tracking.marked import MarkedPass, follow_markers, is_marked
@@ -135,8 +135,8 @@ def track_both(
     marked = not (causal and has_video) and is_marked(tracker)
     # Markers that determine the body need no smoothing but by the video.
     smooth = tracker.settings.smooth and (has_video or not marked)
-    if smooth and has_video and not causal:
-        opened = with_correct_clocks(opened)
+    if has_video:
+        opened = with_checked_clocks(opened, corrects=smooth and not causal)
     used = opened.videos if has_video else []
     events = RecordingEvents.of(opened.recording, used, mode, opened.cleaning)
     if problem := unused_setting(tracker.settings, smooth or marked, causal):
