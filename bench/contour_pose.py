@@ -25,7 +25,12 @@ from bench.figures import Metric, write_json
 from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.fourier import fourier_series, phase_vectors
-from jaxmocap.silhouette import ContourPoseSettings, RigidSurface, solve_contour_pose
+from jaxmocap.silhouette import (
+    ContourPose,
+    ContourPoseSettings,
+    RigidSurface,
+    solve_contour_pose,
+)
 
 # Points of a curve and of its outlines, and the curve's root mean square radius, metres.
 POINTS, RADIUS_M = 240, 0.15
@@ -185,7 +190,11 @@ def partly_hidden(each: Trial, seed: int) -> Trial:
 
 def errors(cameras: Sequence[Camera], each: Trial, how: ContourPoseSettings) -> tuple[float, float]:
     """Degrees and metres off."""
-    found = solve_contour_pose(each.shape, cameras, each.outlines, each.start, how)
+    return errors_of(solve_contour_pose(each.shape, cameras, each.outlines, each.start, how), each)
+
+
+def errors_of(found: ContourPose, each: Trial) -> tuple[float, float]:
+    """Degrees and metres of a solved trial."""
     turn = found.T_world_object[:3, :3] @ each.truth[:3, :3].T
     shift = found.T_world_object[:3, 3] - each.truth[:3, 3]
     angle = np.degrees(Rotation.from_matrix(turn).magnitude())

@@ -77,7 +77,7 @@ def parts(footage: Footage, sizes: Sequence[int]) -> Iterator[tuple[str, Work]]:
     for size in sizes:
         yield f"refine, {size} recordings of {EVENTS} events", refining(tracker, footage, size)
     for size in sizes:
-        yield f"rasters of {size} bodies", rasters(footage, size)
+        yield f"rasters of {size} bodies", rasters(tracker, footage, size)
 
 
 def kinematics(skeleton: Skeleton, size: int) -> Work:
@@ -116,9 +116,8 @@ def refining(tracker: HybridTracker, footage: Footage, size: int) -> Work:
     return call, (model, settings, tracker.bow_factors, events, many, state.belief)
 
 
-def rasters(footage: Footage, size: int) -> Work:
+def rasters(tracker: HybridTracker, footage: Footage, size: int) -> Work:
     """One body drawn over pictures of noise, in so many poses."""
-    tracker = HybridTracker.from_recording(footage.recording)
     model, state = tracker.model, tracker.init(footage.recording.positions_world[0])
     rng = np.random.default_rng(0)
 

@@ -45,11 +45,15 @@ from jaxmocap.formats.cameras.calibration import camera_of, read_sections
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.smoothing import elbow_viterbi, linearise
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 # But for those that go through pictures and many candidates: a little of it makes them run in a
 # quarter of the time.
 EFFORTS["full"] = {"xla_backend_optimization_level": 1}
+# Tests' recordings are short: a batch is filled up with little that nobody asks for.
+linearise.FRAMES_A_CALL = elbow_viterbi.POSES_A_CALL = 8
+linearise.VIEWS_A_CALL = elbow_viterbi.VIEWS_A_CALL = 4
 # Tracing makes many objects that stay: to go through all of them again and again takes a tenth of
 # its time.
 gc.set_threshold(200_000, 20, 100)

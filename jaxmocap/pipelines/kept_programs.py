@@ -20,7 +20,7 @@ import jax
 from jaxmocap.compilation.programs import keep_in
 from jaxmocap.formats.files.errors import FileError
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.files.writing import remove_stale_temporaries, replacing
 
 # The file's first bytes: what it is, and which layout it has. A SHA-256 of key and content follows,
 # then the content.
@@ -58,7 +58,7 @@ class PrivateCache:
         try:
             self.make_folder()
             if self._is_own(self._root, self.folder):
-                with replacing(self.folder / name) as temporary:
+                with replacing(self.folder / name, lasting=False) as temporary:
                     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
                     with open(os.open(temporary, flags, FILE_MODE), "wb") as file:
                         file.write(_seal(key, content) + content)
@@ -152,6 +152,8 @@ def keep_compiled() -> Path:
             f"{folder}: cannot be written to, so no compiled program is kept there; "
             "set JAX_COMPILATION_CACHE_DIR to a folder of your own"
         )
+    for own in folders[1:]:
+        remove_stale_temporaries(own)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     keep_in(files)

@@ -59,6 +59,7 @@ def forward(skeleton: Any, pose: Any) -> Frames:
     root = np.asarray(pose.position, float)
     angles, axes = np.asarray(pose.angles, float), np.asarray(skeleton.axes, float)
     R_world_root = quaternion_matrix(np.asarray(pose.quaternion, float))
+    turns = Rotation.from_rotvec(angles[:, None] * axes).as_matrix()
     R_world_bone, joints_world, axes_world = [], [], np.zeros((len(tree.joints), 3))
     for bone, parent in enumerate(tree.parents):
         R = R_world_root if parent < 0 else R_world_bone[parent]
@@ -69,7 +70,7 @@ def forward(skeleton: Any, pose: Any) -> Frames:
         for dof, turned_bone in enumerate(tree.dof_bones):
             if turned_bone == bone:
                 axes_world[dof] = R @ axes[dof]
-                R = rotate_vectors(R.T, axes_world[dof], angles[dof]).T
+                R = R @ turns[dof]
         R_world_bone.append(R)
     return Frames(root, np.array(R_world_bone), np.array(joints_world), axes_world)
 

@@ -10,6 +10,7 @@ import pytest
 
 import jaxmocap
 from jaxmocap.compilation.programs import Program
+from jaxmocap.formats.files.writing import temporary_beside
 from jaxmocap.pipelines import kept_programs
 from jaxmocap.pipelines.kept_programs import PrivateCache, keep_compiled
 from jaxmocap.pipelines.warmup import counting_compilations
@@ -55,6 +56,28 @@ def test_what_one_key_wrote_is_read_by_it_alone(tmp_path: Path) -> None:
     assert files.read("other name", "key") is None
     files.write("name", "key", b"")
     assert files.read("name", "key") == b""
+
+
+def test_to_keep_a_file_takes_no_longer_among_thousands(tmp_path: Path, monkeypatch) -> None:
+    """The folder is not gone through, nor is the disk waited for."""
+    files = PrivateCache(tmp_path, "kept")
+    with monkeypatch.context() as patched:
+        patched.delattr(os, "scandir")
+        patched.delattr(os, "fsync")
+        files.write("name", "key", b"content")
+    assert files.read("name", "key") == b"content"
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == ["name"]
+
+
+@pytest.mark.parametrize("name", ["programs", "compiled"])
+def test_what_a_start_that_was_killed_left_is_removed_by_the_next(root: Path, name: str) -> None:
+    keep_compiled()
+    mine = temporary_beside(root / name / "a.program")
+    gone = mine.with_name(mine.name.replace(f"-{os.getpid()}-", "-999999999-"))
+    for path in (mine, gone):
+        path.write_text("")
+    keep_compiled()
+    assert mine.exists() and not gone.exists()
 
 
 def test_an_executable_is_found_by_the_next_start(root: Path) -> None:

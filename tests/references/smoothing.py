@@ -186,10 +186,10 @@ def step(problem: Problem, x: np.ndarray) -> np.ndarray:
 
 
 def minimum(problem: Problem, iterations: int) -> np.ndarray:
-    """The unknowns (U,) after so many steps from the start."""
+    """The unknowns (U,) after so many steps from the start; near the end they overshoot by half."""
     x = np.zeros(len(problem.times) * (6 + problem.start.angles.shape[1]) + problem.shared)
-    for _ in range(iterations):
-        x = x + step(problem, x)
+    for i in range(iterations):
+        x = x + (0.64 if i % 2 else 1.0) * step(problem, x)
     return x
 
 

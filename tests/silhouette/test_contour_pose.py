@@ -14,6 +14,7 @@ from bench.contour_pose import (
     camera_at,
     drawn_outline,
     errors,
+    errors_of,
     partly_hidden,
     posed_start,
     random_curve,
@@ -246,10 +247,10 @@ def test_the_rim_lies_on_the_exact_outline():
 def test_a_surface_is_found_with_a_fifth_of_wrong_pixels_and_they_are_told():
     each = ellipsoid_trial(1, (15.0, 0.02))
     wrong = with_wrong_pixels(each, 1)
-    alone, all_count = (errors(CAMERAS[:2], wrong, how) for how in (USUAL, ALL_COUNT))
+    found = solve_contour_pose(ELLIPSOID, CAMERAS[:2], wrong.outlines, each.start)
+    alone, all_count = errors_of(found, wrong), errors(CAMERAS[:2], wrong, ALL_COUNT)
     assert alone[0] < 0.5 and alone[1] < 1e-3
     assert all_count[0] > 5 * alone[0]
-    found = solve_contour_pose(ELLIPSOID, CAMERAS[:2], wrong.outlines, each.start)
     for ours, theirs, shares in zip(each.outlines, wrong.outlines, found.shares, strict=True):
         chosen = np.arange(128) * len(ours) // 128
         moved = np.linalg.norm(ours - theirs, axis=1)[chosen]

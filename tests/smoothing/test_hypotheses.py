@@ -62,6 +62,19 @@ def _swung(pose: Pose, swivels: Array) -> Pose:
     return pose._replace(angles=pose.angles.at[arm_dofs(PERSON.tree)].set(angles))
 
 
+@jax.jit
+@partial(jax.vmap, in_axes=(0, None, None))
+def _arms_turned(pose: Pose, turns: Array, pivots: Array) -> Pose:
+    return turn_pose(PERSON, pose, GRIPS, turns, pivots)
+
+
+def with_arms_turned(degrees: tuple[float, float, float], pivot: int = GRIP) -> Pose:
+    """The true motion with the right arm turned about its grip, or about another joint."""
+    turns, pivots = np.radians([[0, 0, 0], degrees]), np.array([GRIP, pivot], np.int32)
+    turned = _arms_turned(on_device(truth(COUNT), jnp.float32), turns.astype(np.float32), pivots)
+    return jax.tree.map(np.asarray, turned)
+
+
 def swivelled(degrees: tuple[float, float]) -> Pose:
     """The true motion with each arm swung about its axis from shoulder to grip."""
     poses = on_device(truth(COUNT), jnp.float32)
@@ -159,14 +172,8 @@ def test_goals_lead_a_solve_out_of_a_valley_that_it_would_not_leave_alone():
 
 def test_a_forearm_that_points_the_other_way_is_turned_to_its_goals_before_a_solve():
     """With one hand unmarked for two seconds the other elbow stayed 45 cm off for one."""
-    away, given = (
-        np.radians([[0, 0, 0], [0, -150, 0]]).astype(np.float32),
-        problem(COUNT, views(COUNT)),
-    )
-    turned = jax.jit(jax.vmap(lambda pose: turn_pose(PERSON, pose, GRIPS, away)))
-    start = Trajectory(
-        jax.tree.map(np.asarray, turned(on_device(truth(COUNT), jnp.float32))), NO_CHANGE
-    )
+    given = problem(COUNT, views(COUNT))
+    start = Trajectory(with_arms_turned((0, -150, 0)), NO_CHANGE)
     path = elbow_path(given, start)
     there = turn_arms_along(MODEL, start, path)
     apart = points_of(there.poses)[:, ELBOWS] - path.goals
@@ -184,9 +191,7 @@ def test_an_arm_without_a_marker_is_found_by_turning_it_about_shoulder_and_elbow
     unmarked = unmarked_arms(PERSON.tree, MODEL.markers, measured.markers)
     assert not unmarked[:, 0].any() and unmarked[:, 1].all()
     given = problem(COUNT, views(COUNT), measured)
-    away = np.radians([[0, 0, 0], [*degrees, 0]]).astype(np.float32)
-    turned = jax.vmap(lambda pose: turn_pose(PERSON, pose, GRIPS, away, np.array([0, SHOULDER])))
-    lost = jax.tree.map(np.asarray, turned(on_device(truth(COUNT), jnp.float32)))
+    lost = with_arms_turned((*degrees, 0), SHOULDER)
 
     def found(pivots: tuple[int, ...]) -> np.ndarray:
         there = Trajectory(lost, NO_CHANGE)

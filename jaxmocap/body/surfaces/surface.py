@@ -153,7 +153,7 @@ def resample_surface(surface: Surface, joints: np.ndarray, spacing: float) -> Su
         grids[patch.name] = _denser(patch, grid, around, along)
         onto = linear_matrix(patch.along, along)
         turn = linear_matrix(patch.around, around, periodic=True)
-        shares[patch.name] = np.einsum("av,vuc,bu->abc", onto, rows, turn)
+        shares[patch.name] = np.einsum("av,vuc,bu->abc", onto, rows, turn, optimize=True)
     return surface_from_rest(grids, shares, joints)
 
 
@@ -171,7 +171,7 @@ def resample_moves(
 def _denser(patch: Patch, grid: np.ndarray, around: np.ndarray, along: np.ndarray) -> np.ndarray:
     """A patch's grid (along, around, 3), or moves of it, at more places."""
     across, onto = fourier_matrix(patch.around, around), linear_matrix(patch.along, along)
-    return np.einsum("av,vuc,bu->abc", onto, grid, across)
+    return np.einsum("av,vuc,bu->abc", onto, grid, across, optimize=True)
 
 
 def _places(grid: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,8 @@ INPUTS: the path that a file shall have.
 OUTPUTS: a path beside it to write to; the file is checked, flushed to the disk and moved into
 place when the writer is done. OutputError where it cannot be: what was there before is as it was.
 
-A process that is killed leaves its hidden part behind; the next that writes there removes it.
+A process that is killed leaves its hidden part behind; the next that writes there removes it, or
+in the folder of compiled programs the next start.
 """
 
 import hashlib
@@ -37,7 +38,9 @@ def temporary_beside(path: Path) -> Path:
 
 
 @contextmanager
-def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> Iterator[Path]:
+def replacing(
+    path: str | Path, check: Callable[[Path], bool] | None = None, lasting: bool = True
+) -> Iterator[Path]:
     """Write beside ``path`` and replace it at the end; after an error it is as it was before.
 
     Missing folders are made. Where the path is a link, the file that it leads to is replaced.
@@ -46,6 +49,8 @@ def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> 
         path: of the file.
         check: whether what was written is complete, asked with the hidden path before it is moved;
             for libraries that do not say that the disk is full.
+        lasting: flushed to the disk, in a folder without what killed processes left. A cache's
+            thousands of files need not be: what is cut off is made again.
 
     Yields:
         The hidden path to write to.
@@ -59,11 +64,13 @@ def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> 
         if path.exists() and not path.is_file():
             raise OutputError(path, "found a folder or a device, expected a file to replace")
         path.parent.mkdir(parents=True, exist_ok=True)
-        remove_stale_temporaries(path.parent)
+        if lasting:
+            remove_stale_temporaries(path.parent)
         temporary = temporary_beside(path)
         try:
             yield temporary
-            flush_to_disk(temporary)
+            if lasting:
+                flush_to_disk(temporary)
             if check is not None and not check(temporary):
                 raise OutputError(path, "cannot be written completely, is the disk full?")
             os.replace(temporary, path)
