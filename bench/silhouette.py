@@ -104,9 +104,18 @@ def track_exercise(clip: Clip, cameras: int, settings: Settings) -> Result:
     """A rendered recording by the first of its cameras, bones and first pose from the truth."""
     truth = read_trc(clip.truth).points()
     recording = Recording.load(clip.path)
-    skeleton = scale_to_landmarks(recording.skeleton, truth)
+    skeleton = true_skeleton(recording.skeleton, truth)
     recording = replace(recording, skeleton=skeleton, videos=recording.videos[:cameras])
     return evaluated(clip, recording, true_start(skeleton, truth, settings), settings)
+
+
+def true_skeleton(skeleton: Skeleton, truth: Mapping[str, np.ndarray]) -> Skeleton:
+    """Bones as long as the truth's; how tall somebody is who never stands, limbs alone tell."""
+    landmarks = dict(truth)
+    try:
+        return scale_to_landmarks(skeleton, landmarks)
+    except ValueError:
+        return scale_to_landmarks(skeleton, {k: v for k, v in landmarks.items() if k != "vertex"})
 
 
 def true_start(
