@@ -19,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from bench import command
-from bench.clips import in_memory
+from bench.clips import in_memory, true_skeleton
 from bench.figures import Metric, write_json
-from bench.silhouette import true_skeleton, true_start
+from bench.silhouette import true_start
 from jaxmocap.body.motion import Motion
 from jaxmocap.cli.recording_options import select_cameras
 from jaxmocap.evaluation.tables import align_columns

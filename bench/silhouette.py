@@ -23,13 +23,12 @@ from pathlib import Path
 import numpy as np
 
 from bench import add_rendered, command, kept
-from bench.clips import REAL_LANDMARKS, Clip, exercises
+from bench.clips import REAL_LANDMARKS, Clip, exercises, true_skeleton
 from bench.clock import STAGES, WHOLE_FRAME, stages_timed
 from bench.evaluation import AccelerationAndLag, compare_tracks
 from bench.figures import Metric, stage_metrics, table, write_json
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
-from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.surface import Surface, bones_over_time, nodes_over_time
 from jaxmocap.cli.silhouette.track import add_settings, settings_of
 from jaxmocap.evaluation.errors import Errors, position_errors
@@ -107,15 +106,6 @@ def track_exercise(clip: Clip, cameras: int, settings: Settings) -> Result:
     skeleton = true_skeleton(recording.skeleton, truth)
     recording = replace(recording, skeleton=skeleton, videos=recording.videos[:cameras])
     return evaluated(clip, recording, true_start(skeleton, truth, settings), settings)
-
-
-def true_skeleton(skeleton: Skeleton, truth: Mapping[str, np.ndarray]) -> Skeleton:
-    """Bones as long as the truth's; how tall somebody is who never stands, limbs alone tell."""
-    landmarks = dict(truth)
-    try:
-        return scale_to_landmarks(skeleton, landmarks)
-    except ValueError:
-        return scale_to_landmarks(skeleton, {k: v for k, v in landmarks.items() if k != "vertex"})
 
 
 def true_start(

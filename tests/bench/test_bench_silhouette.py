@@ -5,16 +5,10 @@ from time import sleep
 import numpy as np
 import pytest
 
+from bench.clips import true_skeleton
 from bench.clock import REST, STAGES, WHOLE_FRAME, StageClock, stages_timed
 from bench.evaluation import AccelerationAndLag
-from bench.silhouette import (
-    Result,
-    camera_rows,
-    exercise_rows,
-    metrics,
-    real_rows,
-    true_skeleton,
-)
+from bench.silhouette import Result, camera_rows, exercise_rows, metrics, real_rows
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
