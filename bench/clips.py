@@ -5,7 +5,7 @@ exercises and a folder to keep what is rendered in.
 OUTPUTS: Clips; Footage, as a file and decoded; a DisplacedExerciser.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from pathlib import Path
@@ -14,7 +14,8 @@ import cv2
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.geometry.cameras import Camera
@@ -148,6 +149,15 @@ def exercises(
                 write_four_cameras(path.parent, performer, seconds, seed, height, show)
         clips.append(Clip(kind, name, path, {mark: mark for mark in LANDMARKS}, seed))
     return clips
+
+
+def true_skeleton(skeleton: Skeleton, truth: Mapping[str, np.ndarray]) -> Skeleton:
+    """Bones as long as the truth's; how tall somebody is who never stands, limbs alone tell."""
+    landmarks = dict(truth)
+    try:
+        return scale_to_landmarks(skeleton, landmarks)
+    except ValueError:
+        return scale_to_landmarks(skeleton, {k: v for k, v in landmarks.items() if k != "vertex"})
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from bench import command
-from bench.clips import in_memory
+from bench.clips import in_memory, true_skeleton
 from bench.figures import Metric, write_json
 from bench.silhouette import true_start
 from jaxmocap.body.motion import Motion
-from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.cli.recording_options import select_cameras
 from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.formats.recordings.recording import Recording, VideoSource, load_recording
@@ -248,7 +247,7 @@ def loaded(folder: Path) -> tuple[Recording, Truth]:
     """A recording, its frames in memory and its person of the true lengths; and the truth."""
     recording, reference = load_recording(folder / "recording.toml"), read_trc(folder / "truth.trc")
     truth = dict(zip(reference.names, np.moveaxis(reference.positions, 1, 0), strict=True))
-    skeleton = scale_to_landmarks(recording.skeleton, truth)
+    skeleton = true_skeleton(recording.skeleton, truth)
     videos = tuple(in_memory(video) for video in recording.videos)
     return replace(recording, skeleton=skeleton, videos=videos), truth
 

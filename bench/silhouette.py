@@ -23,13 +23,12 @@ from pathlib import Path
 import numpy as np
 
 from bench import add_rendered, command, kept
-from bench.clips import REAL_LANDMARKS, Clip, exercises
+from bench.clips import REAL_LANDMARKS, Clip, exercises, true_skeleton
 from bench.clock import STAGES, WHOLE_FRAME, stages_timed
 from bench.evaluation import AccelerationAndLag, compare_tracks
 from bench.figures import Metric, stage_metrics, table, write_json
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_joints
-from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.surface import Surface, bones_over_time, nodes_over_time
 from jaxmocap.cli.silhouette.track import add_settings, settings_of
 from jaxmocap.evaluation.errors import Errors, position_errors
@@ -104,7 +103,7 @@ def track_exercise(clip: Clip, cameras: int, settings: Settings) -> Result:
     """A rendered recording by the first of its cameras, bones and first pose from the truth."""
     truth = read_trc(clip.truth).points()
     recording = Recording.load(clip.path)
-    skeleton = scale_to_landmarks(recording.skeleton, truth)
+    skeleton = true_skeleton(recording.skeleton, truth)
     recording = replace(recording, skeleton=skeleton, videos=recording.videos[:cameras])
     return evaluated(clip, recording, true_start(skeleton, truth, settings), settings)
 

@@ -5,9 +5,13 @@ from time import sleep
 import numpy as np
 import pytest
 
+from bench.clips import true_skeleton
 from bench.clock import REST, STAGES, WHOLE_FRAME, StageClock, stages_timed
 from bench.evaluation import AccelerationAndLag
 from bench.silhouette import Result, camera_rows, exercise_rows, metrics, real_rows
+from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.pose import relaxed_pose
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.pipelines.silhouettes.demo import JOINTS
 from jaxmocap.silhouette import tracker
@@ -63,3 +67,12 @@ def test_every_stage_is_there_to_be_timed_and_is_itself_again_afterwards():
         assert tracker.SilhouetteTracker.step is not before[1]
     assert (cycles.fit, tracker.SilhouetteTracker.step) == before
     assert clock.frames == [] and {"rim", "segmentation", "fit"} < {*STAGES}
+
+
+def test_who_lies_throughout_has_the_truths_bones_too():
+    skeleton = Skeleton.human()
+    here = np.asarray(landmarks(skeleton, relaxed_pose(skeleton)))[:, [2, 0, 1]]
+    lying = {name: place[None] for name, place in zip(LANDMARKS, here, strict=True)}
+    legs = skeleton.tree.bones_in("leg", side="l")[:2]
+    found = true_skeleton(Skeleton.human(), lying)
+    np.testing.assert_allclose(found.lengths[legs], skeleton.lengths[legs], rtol=1e-4)

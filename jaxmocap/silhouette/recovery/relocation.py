@@ -1,6 +1,4 @@
-"""Putting lost limbs where they explain more: poses are proposed, fitted, and the best is kept.
-
-What the last frames measured of a limb is withdrawn once it is found elsewhere.
+"""Putting lost limbs where they explain more: a pose is proposed, fitted, and kept if it does.
 
 INPUTS: a fitted pose, the frame that it was fitted to, what is remembered of the limbs; an earlier
 pass's estimate, if there was one. OUTPUTS: a RecoveredPose.
@@ -12,16 +10,10 @@ import numpy as np
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.silhouette.fit.cycles import FittedPose, FrameEvidence, fit_pose, information_without
+from jaxmocap.silhouette.fit.cycles import FittedPose, FrameEvidence, fit_pose
 from jaxmocap.silhouette.recovery.lost_limbs import LimbMemory, LimbProposal
 from jaxmocap.silhouette.recovery.projected_body import ProjectedBody
-from jaxmocap.silhouette.state import (
-    PoseEstimate,
-    RecentFrame,
-    StepReport,
-    TrackedBody,
-    TrackerConstants,
-)
+from jaxmocap.silhouette.state import PoseEstimate, TrackedBody, TrackerConstants
 
 
 class RecoveredPose(NamedTuple):
@@ -71,10 +63,10 @@ def recover_limbs(
     if s.particles > 1 and has_backgrounds:
         if earlier is not None:
             proposal = recovery.earlier_proposal(limbs, best.projected, earlier.pose)
-            best = _best_of(constants, body, proposal, limbs, frame, best, deviations)
+            best = _better_of(constants, body, proposal, limbs, frame, best, deviations)
             resumed = best.limbs
         proposal, limbs = recovery.propose(limbs, best.projected)
-        best = _best_of(constants, body, proposal, limbs, frame, best, deviations)
+        best = _better_of(constants, body, proposal, limbs, frame, best, deviations)
         searched = best.limbs
     moved = (*resumed, *searched)
     hidden, limbs = recovery.hidden_joints(limbs, best.projected, frame.images, moved)
@@ -82,7 +74,7 @@ def recover_limbs(
     return RecoveredPose(best.fitted, old | new, old & ~new, hidden, limbs)
 
 
-def _best_of(
+def _better_of(
     constants: TrackerConstants,
     body: TrackedBody,
     proposal: LimbProposal | None,
@@ -91,21 +83,17 @@ def _best_of(
     best: _Relocation,
     deviations: np.ndarray,
 ) -> _Relocation:
-    """The best of the poses proposed, each fitted; or what there was, and no limbs."""
+    """The pose proposed, fitted; or what there was, and no limbs."""
     best = best._replace(limbs=())
     if proposal is None:
         return best
     joints, before = body.recovery.joints_of(proposal.limbs), best.fitted
     wide, widest = deviations.copy(), constants.settings.predicted_deviation
     wide[ROOT_DOF:][joints] = np.maximum(wide[ROOT_DOF:][joints], widest)
-    least = proposal.least_gain
-    for pose in proposal.poses:
-        again = fit_pose(constants, body, frame, pose, wide)
-        old, new = (_project_pose(body, each.result.pose, again, frame) for each in (before, again))
-        gain = body.recovery.gain(proposal.limbs, old, new, limbs.appearance)
-        if gain > least:
-            least, best = gain, _Relocation(again, new, proposal.limbs)
-    return best
+    again = fit_pose(constants, body, frame, proposal.pose, wide)
+    old, new = (_project_pose(body, each.result.pose, again, frame) for each in (before, again))
+    gain = body.recovery.gain(proposal.limbs, old, new, limbs.appearance)
+    return _Relocation(again, new, proposal.limbs) if gain > proposal.least_gain else best
 
 
 def _project_pose(
@@ -115,39 +103,3 @@ def _project_pose(
     return body.recovery.projector.project(
         pose, fitted.outlines, fitted.used, frame.images, frame.backgrounds
     )
-
-
-# Frames before a limb was found elsewhere whose pairs had it in the wrong place.
-LOST_FRAMES = 3
-
-
-def remember_frame(recent: tuple[RecentFrame, ...], frame: RecentFrame) -> tuple[RecentFrame, ...]:
-    """The last ``LOST_FRAMES`` frames after another one."""
-    kept = frame._replace(report=frame.report._replace(revised=()))
-    return (*recent[1 - LOST_FRAMES :], kept)
-
-
-def withdraw_joints(
-    constants: TrackerConstants,
-    body: TrackedBody,
-    recent: tuple[RecentFrame, ...],
-    relocated: np.ndarray,
-) -> tuple[RecentFrame, ...]:
-    """The last frames, joints (D,) that were relocated since being hidden in them."""
-    frames = []
-    for report, pose, measured in recent:
-        hidden, observed = report.hidden | relocated, report.observed.copy()
-        left = information_without(constants, body, hidden, pose, report.pairs, measured)
-        observed[ROOT_DOF:][relocated] = False
-        information, slope = np.asarray(left.information), np.asarray(left.slope)
-        report = report._replace(
-            hidden=hidden, observed=observed, information=information, slope=slope
-        )
-        frames.append(RecentFrame(report, pose, measured))
-    return tuple(frames)
-
-
-def slim(report: StepReport) -> StepReport:
-    """A report without what is large: those of all frames of a recording are kept."""
-    outlines = report.outlines._replace(segmentation=None, contours=())  # type: ignore[arg-type]
-    return report._replace(outlines=outlines, pairs=None, revised=())  # type: ignore[arg-type]
