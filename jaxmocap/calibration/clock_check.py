@@ -1,6 +1,6 @@
 """Does a video move as the markers do, at the offset that is stated?
 
-A few lively frames are looked at before a recording is tracked. Where they move with the hands at
+A few lively frames are checked before a recording is tracked. Where they move with the hands at
 another time the offset is estimated by more of them.
 
 INPUTS: a Recording, its videos. OUTPUTS: the recording, offsets that are surely wrong replaced;

@@ -88,7 +88,7 @@ def test_an_offset_is_found_within_five_milliseconds(seed, offset):
 
 
 def checked(recording: Recording) -> tuple[float, tuple[str, ...]]:
-    """The offset to take, and what is said of it."""
+    """The offset to take, and the warnings."""
     actual, sentences = check_clocks(recording, [open_video(recording.videos[0])])
     return actual.videos[0].offset, sentences
 
