@@ -135,24 +135,24 @@ def track_both(
     marked = not (causal and has_video) and is_marked(tracker)
     # Markers that determine the body need no smoothing but by the video.
     smooth = tracker.settings.smooth and (has_video or not marked)
-    if has_video:
-        opened = with_checked_clocks(opened, corrects=smooth and not causal)
-    used = opened.videos if has_video else []
-    events = RecordingEvents.of(opened.recording, used, mode, opened.cleaning)
     if problem := unused_setting(tracker.settings, smooth or marked, causal):
         raise ValueError(problem)
-    if used and mode != "nearest" and not (marked or smooth or tracker.settings.search):
+    if has_video and mode != "nearest" and not (marked or smooth or tracker.settings.search):
         problem = "found search = false (--paper), which takes no frame between two samples"
         expected = "no --causal, and" if causal else "the nearest frame:"
         raise recording.error(f"{problem}: expected {expected} --nearest")
     if why and (causal or not smooth):
         problem = "found --why, which is of poses that are smoothed over the whole recording"
         expected = "smoothing and neither --causal nor --paper"
-        if marked and not used:
+        if marked and not has_video:
             expected = "a video, or fewer markers: these determine the body in each sample"
         raise recording.error(f"{problem}: expected {expected}")
     if cutoff := float(tracker.settings.low_pass):
         check_cutoff(opened.recording, cutoff, "low_pass")
+    if has_video:
+        opened = with_checked_clocks(opened, corrects=smooth and not causal)
+    used = opened.videos if has_video else []
+    events = RecordingEvents.of(opened.recording, used, mode, opened.cleaning)
     smoother = None
     if smooth and causal:
         have_points = sum(each is not None for each in opened.keypoints)
