@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_lost_limbs import begun, four_cameras, plain_walls
+from test_lost_limbs import EXPLAINED, begun, four_cameras, plain_walls
 from test_rim import BODY, bent
 from test_silhouette_tracker import SMALL, WALL
 
@@ -20,7 +20,6 @@ from jaxmocap.silhouette.fit.cycles import fit
 from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance
 from jaxmocap.silhouette.recovery.limb_likelihood import (
     Obstacles,
-    explained_log_ratio,
     obstacle_rings,
     penetrating_share,
 )
@@ -106,7 +105,7 @@ def test_an_arm_that_no_silhouette_misses_is_missed_by_its_colour(tracker, state
     aside = projected_over(tracker, state, LOST, images, SIDES)
     proposal, after = recovery.propose(memory, aside)
     assert after.contradicted[left] and proposal is not None and proposal.limbs == (left,)
-    assert off([proposal.pose]) < 0.5 < 0.8 < off([LOST])
+    assert off(proposal.poses) < 0.5 < 0.8 < off([LOST])
     count = len(memory.appearance.frames)
     unknown = memory._replace(appearance=BodyAppearance.empty(count))
     proposal, after = recovery.propose(unknown, aside)
@@ -199,7 +198,7 @@ def test_what_lies_before_the_trunk_is_the_arm_only_in_its_hue(tracker, state, c
     evidence = finder.of_limb(left, projected, state.limbs.appearance, depths)
     below = halves_of(recovery.limbs[left])[1]
     cameras = tracker.constants.cameras
-    actual = float(jax.jit(explained_log_ratio)(BODY, cameras, CROSSED, below, evidence))
+    actual = float(EXPLAINED(BODY, cameras, CROSSED, below, evidence))
     assert low < actual < high
 
 

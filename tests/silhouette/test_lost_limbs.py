@@ -1,6 +1,7 @@
 """Several hypotheses: a limb that one hypothesis loses for good is found again by many."""
 
 from dataclasses import replace
+from itertools import combinations
 from types import SimpleNamespace
 
 import jax
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_rim import BODY, ring
+from test_rim import BODY, bent, ring
 from test_silhouette_tracker import SMALL, WALL, painted, with_settings
 
 from jaxmocap.body.pose import relaxed_pose, retract
@@ -19,10 +20,15 @@ from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.first_pose import landmark_points
 from jaxmocap.silhouette.recovery import relocation
+from jaxmocap.silhouette.recovery.limb_likelihood import LimbEvidence, explained_log_ratio
 from jaxmocap.silhouette.recovery.limb_particle_filter import (
+    DISTINCT_RAD,
+    FITTED_PARTICLES,
     LimbSearchResult,
+    distinct_particles,
     systematic_resampling,
 )
+from jaxmocap.silhouette.recovery.limbs import carrying_bones, limb_chains
 from jaxmocap.silhouette.recovery.lost_limbs import (
     LEAST_GAIN,
     UNEXPLAINED_SHARE,
@@ -30,13 +36,15 @@ from jaxmocap.silhouette.recovery.lost_limbs import (
     LimbProposal,
 )
 from jaxmocap.silhouette.recovery.part_appearance import YOUNGEST, PartAppearance
+from jaxmocap.silhouette.recovery.projected_body import body_pixels
 from jaxmocap.silhouette.segmentation.background_models import covered_cells
 from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 WRIST = LANDMARKS.index("wrist_l")
-DRAWN = jax.jit(systematic_resampling)
+DRAWN, DISTINCT = jax.jit(systematic_resampling), jax.jit(distinct_particles)
+EXPLAINED = jax.jit(explained_log_ratio)
 
 
 def lifted(degrees: float):
@@ -85,18 +93,20 @@ def test_an_arm_that_one_hypothesis_loses_many_find_again(tracker):
     assert wrist_off(tracker, 128) < 0.1
 
 
-@pytest.mark.parametrize(("gain", "taken"), [(0.4, "better"), (0.14, "found")])
-def test_a_proposed_pose_is_fitted_and_taken_where_it_explains_enough_more(
-    monkeypatch, gain, taken
-):
-    explained = {"found": 0.0, "better": gain}
+@pytest.mark.parametrize(
+    ("gains", "taken"),
+    [({"first": 0.4, "best": 0.9, "last": 0.6}, "best"), ({"first": 0.1, "last": 0.14}, "found")],
+)
+def test_of_several_better_poses_the_best_is_taken_or_none(monkeypatch, gains, taken):
+    """Each is fitted and compared with what was found, not with the one before it."""
+    explained = {"found": 0.0, **gains}
 
     def ended(pose: str):
         result = SimpleNamespace(pose=pose)
         return SimpleNamespace(result=result, used=np.ones(1, bool), outlines=None)
 
     monkeypatch.setattr(relocation, "fit_pose", lambda model, body, frame, pose, _: ended(pose))
-    proposal = LimbProposal("better", (0,), LEAST_GAIN)  # type: ignore[arg-type]
+    proposal = LimbProposal(tuple(gains), (0,), LEAST_GAIN)  # type: ignore[arg-type]
     recovery = SimpleNamespace(
         joints_of=lambda limbs: np.full(4, bool(limbs)),
         projector=SimpleNamespace(project=lambda pose, *_: pose),
@@ -115,7 +125,7 @@ def test_a_proposed_pose_is_fitted_and_taken_where_it_explains_enough_more(
 def found_at(gain: float, baseline: float) -> LimbSearchResult:
     """A search whose best particle explains so much."""
     nothing = jnp.zeros((1, 6))
-    return LimbSearchResult(nothing, nothing[0], jnp.array(gain), jnp.array(baseline))
+    return LimbSearchResult(nothing, nothing, jnp.array([gain]), jnp.array(baseline))
 
 
 @pytest.mark.parametrize(("gain", "waits"), [(0.05, True), (0.1, False)])
@@ -176,6 +186,38 @@ def proposed(recovery, monkeypatch, explained: float, missing: float, before=Non
         (None,) * 4, np.zeros(4, int), np.zeros(4, int), None, None, np.zeros(4, bool), 0,
     )  # type: ignore[arg-type]  # fmt: skip
     return recovery.propose(memory, SimpleNamespace(pose=None))
+
+
+def test_a_forearm_laid_over_its_upper_arm_explains_nothing_twice(tracker):
+    surface, cameras = tracker.body.shape.surface, tracker.constants.cameras
+    limb = limb_chains(BODY, surface)["arm_l"]
+    upper = carrying_bones(surface.points)[0] == limb.bones[0]
+    region = Region(np.full((4, 2), -0.5, np.float32), np.full(4, 8.0, np.float32))
+    pixels = np.asarray(body_pixels(BODY, bent(elbow_flex_l=0.0), cameras, surface.points)[0])[
+        :, upper
+    ]
+    shown = [covered_cells(at, Region(*r), 128, 0) for at, *r in zip(pixels, *region, strict=True)]
+    evidence = LimbEvidence(np.stack(shown).astype(np.float32), region, np.ones(4, bool))
+    straight, folded = (
+        float(EXPLAINED(BODY, cameras, bent(elbow_flex_l=degrees), limb, evidence))
+        for degrees in (0.0, 150.0)
+    )
+    assert straight > 0.1 and folded < 1.2 * straight
+
+
+@given(st.integers(0, 2**31 - 1))
+def test_of_the_worthiest_particles_those_are_fitted_that_differ(seed):
+    rng = np.random.default_rng(seed)
+    angles, worth = rng.uniform(-2, 2, (40, 6)), rng.permutation(40).astype(np.float32)
+    chosen = np.asarray(DISTINCT(jnp.asarray(angles, jnp.float32), jnp.asarray(worth)))
+    assert chosen[0] == worth.argmax() and (np.diff(worth[chosen]) < 0).all()
+    for one, other in combinations(chosen, 2):
+        assert np.sqrt(np.mean((angles[one] - angles[other]) ** 2)) > DISTINCT_RAD - 1e-3
+    skipped = np.setdiff1d(np.flatnonzero(worth > worth[chosen[-1]]), chosen)
+    for index in skipped:
+        away = np.sqrt(np.mean((angles[chosen] - angles[index]) ** 2, 1))
+        assert away.min() < DISTINCT_RAD + 1e-3
+    assert len(chosen) == FITTED_PARTICLES
 
 
 @given(st.integers(0, 2**31 - 1), st.lists(st.floats(0.01, 1.0), min_size=8, max_size=8))

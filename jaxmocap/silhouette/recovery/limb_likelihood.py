@@ -212,7 +212,9 @@ def _of_camera(
         for k in (0, 1)
     )  # fmt: skip
     edge = log_ratios.shape[0] - 1.0
-    counts = (x >= 0) & (x <= edge) & (y >= 0) & (y <= edge)
+    on_canvas = (x >= 0) & (x <= edge) & (y >= 0) & (y <= edge)
+    # A forearm laid over its upper arm explains nothing more than that does.
+    counts = on_canvas & ~_on_earlier(jnp.stack([x, y], -1), starts, ways, cells * radii)
     there = look_up(log_ratios[None], jnp.zeros((), jnp.int32), x, y)
     if appearance is not None:
         deep = depths[0][:, None] + along * (depths[1] - depths[0])[:, None] - radii[:, None] / 2
@@ -249,3 +251,14 @@ def _by_colour(
     faint = jnp.minimum(log_ratios, OCCLUDER)
     alone = jnp.where(log_ratios > 0, jnp.maximum(log_ratios - cost, faint), log_ratios)
     return jnp.where(jnp.isfinite(body_depth), either, alone)
+
+
+def _on_earlier(points: Array, starts: Array, ways: Array, radii: Array) -> Array:
+    """(B, ...) bool: points (B, ..., 2) of each bone that lie on a bone before it, (B, 2) cells."""
+    away = points[..., None, :] - starts
+    squared = jnp.sum(ways**2, -1) + 1e-6
+    along = jnp.sum(away * ways, -1) / squared
+    aside = jnp.abs(away[..., 0] * ways[:, 1] - away[..., 1] * ways[:, 0])
+    on = (along >= 0) & (along <= 1) & (aside < radii * jnp.sqrt(squared))
+    before = jnp.tril(jnp.ones((len(starts),) * 2, bool), -1)
+    return jnp.any(on & before[:, None, None], -1)

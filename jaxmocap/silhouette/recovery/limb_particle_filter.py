@@ -3,12 +3,13 @@
 A limb that was hidden, or too fast, may be far from where one hypothesis looks for it: its rim
 finds the contour of something else, and stays there. Where the images show person that no part of
 the body explains, within a limb's reach, its particles are spread, weighed by what they would
-explain, drawn again in proportion (systematic resampling), and so once more with less spread; a fit
-then starts from the best. Particles live on from frame to frame as long as the limb may be
-elsewhere.
+explain, drawn again in proportion (systematic resampling), and so once more with less spread; fits
+then start from the best, and from the best elsewhere. Particles live on from frame to frame as long
+as the limb may be elsewhere.
 
 INPUTS: a pose, what the images show of a limb, see ``limb_likelihood``.
-OUTPUTS: the limb's likeliest angles, what they explain, the particles for the next frame.
+OUTPUTS: the limb's likeliest angles in some places, what they explain, the particles for the next
+frame.
 """
 
 import math
@@ -37,15 +38,20 @@ SPREADS = (0.5, 0.25, 0.1)
 INVERSE_TEMPERATURES = (4.0, 10.0, 25.0)
 # Of an angle about the pose given, radians: of two that explain alike, the nearer.
 ANGLE_DEVIATION = 2.0
+# So many particles are fitted.
+FITTED_PARTICLES = 3
+# They differ by so much in their angles' root mean square, radians.
+DISTINCT_RAD = 0.5
 
 
 class LimbSearchResult(NamedTuple):
     """What a search found."""
 
     particles: Array  # (P, K) angles, for the next frame
-    best: Array  # (K,) angles of the best
-    gain: Array  # () what it explains: the mean log-ratio where the limb would be visible
-    baseline: Array  # () what it must explain more than, see ``explained_log_ratio``
+    # (H, K) angles of the best, and of the best that are elsewhere than those before them.
+    best: Array
+    gains: Array  # (H,) what they explain: the mean log-ratio where the limb would be visible
+    baseline: Array  # () what they must explain more than, see ``explained_log_ratio``
 
 
 @jax.jit
@@ -73,7 +79,7 @@ def search_limb(
         return gains, gains - distance / 2
 
     left, angles, gains, scores = _layers(particles, key, limits, weigh)
-    best = jnp.argmax(scores)
+    best = distinct_particles(angles, scores)
     return LimbSearchResult(left, angles[best], gains[best], explained(pose, LEAST_VISIBLE))
 
 
@@ -111,6 +117,16 @@ def _layers(
     (left, _), layers = jax.lax.scan(layer, carry, (keys, spreads, temperatures))
     angles, gains, scores = (jnp.concatenate(part) for part in layers)
     return left, angles, gains, scores
+
+
+def distinct_particles(angles: Array, scores: Array) -> Array:
+    """(H,) indices of the best of particles (N, K), ``DISTINCT_RAD`` from those before each."""
+    chosen = []
+    for _ in range(FITTED_PARTICLES):
+        chosen.append(jnp.argmax(scores))
+        distance = jnp.sqrt(jnp.mean((angles - angles[chosen[-1]]) ** 2, -1))
+        scores = jnp.where(distance < DISTINCT_RAD, -jnp.inf, scores)
+    return jnp.stack(chosen)
 
 
 def systematic_resampling(key: Array, weights: Array) -> Array:

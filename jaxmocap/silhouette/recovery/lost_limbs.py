@@ -6,7 +6,7 @@ the rest of the body. So is found what no outline shows: an arm that one camera 
 sees before the trunk, leaves all silhouettes as they are.
 
 INPUTS: an estimated pose, and what was segmented; what an earlier pass found, if there was one.
-OUTPUTS: parts that are hidden where the pose has them; a better pose to fit from, if there is any;
+OUTPUTS: parts that are hidden where the pose has them; better poses to fit from, if there are any;
 what to remember.
 """
 
@@ -87,11 +87,11 @@ class LimbMemory(NamedTuple):
 
 
 class LimbProposal(NamedTuple):
-    """A pose that explains more."""
+    """Poses that explain more."""
 
-    pose: Pose  # to fit from
+    poses: tuple[Pose, ...]  # to fit from, the likeliest first
     limbs: tuple[int, ...]  # numbers of those that were moved
-    least_gain: float  # mean log-ratio that it must explain more once it is fitted
+    least_gain: float  # mean log-ratio that they must explain more once they are fitted
 
 
 class LimbRecovery:
@@ -189,12 +189,12 @@ class LimbRecovery:
             if self._explains(number, evidence, there) > before + EARLIER_GAIN:
                 pose = with_angles(pose, limb, angles)
                 moved.append(number)
-        return LimbProposal(pose, tuple(moved), EARLIER_GAIN) if moved else None
+        return LimbProposal((pose,), tuple(moved), EARLIER_GAIN) if moved else None
 
     def propose(
         self, memory: LimbMemory, projected: ProjectedBody
     ) -> tuple[LimbProposal | None, LimbMemory]:
-        """A pose that explains more of the image than the present one, if there is any."""
+        """Poses that explain more of the image than the present one, if there are any."""
         finder, pose = self.evidence, projected.pose
         missing, depths = finder.unexplained_areas(projected), finder.nearest_depths(projected)
         evidence = [
@@ -208,22 +208,27 @@ class LimbRecovery:
         doubtful = is_missing | contradicted
         # Where what contradicted a limb is gone it is searched for once more, and at once.
         back = memory.contradicted & ~doubtful
-        particles, moved = list(memory.particles), []
+        particles, poses, moved = list(memory.particles), [pose], []
         waits, failures = memory.waits - 1, +memory.failures
         for number, limb in enumerate(self.limbs):
             if not doubtful[number] and not back[number]:
                 particles[number], failures[number] = None, 0
             elif waits[number] <= 0 or back[number]:
-                result = self._search(number, evidence[number], memory, pose)
-                particles[number] = np.asarray(result.particles)
-                more = float(result.gain) - float(result.baseline)
-                if more > LEAST_GAIN:
-                    pose = with_angles(pose, limb, result.best)
+                result = self._search(number, evidence[number], memory, poses[0])
+                particles[number], baseline = np.asarray(result.particles), float(result.baseline)
+                better = np.asarray(result.gains) > baseline + LEAST_GAIN
+                if better[0]:
+                    count = max(len(poses), int(better.sum()))
+                    poses += poses[-1:] * (count - len(poses))
+                    poses = [
+                        with_angles(each, limb, result.best[k if better[k] else 0])
+                        for k, each in enumerate(poses)
+                    ]
                     moved.append(number)
-                elif more < PROMISING_SHARE * LEAST_GAIN:
+                elif np.max(result.gains) < baseline + PROMISING_SHARE * LEAST_GAIN:
                     waits[number] = min(2 ** failures[number], LONGEST_WAIT) + 1
                     failures[number] += 1
-        proposal = LimbProposal(pose, tuple(moved), LEAST_GAIN) if moved else None
+        proposal = LimbProposal(tuple(poses), tuple(moved), LEAST_GAIN) if moved else None
         return proposal, memory._replace(
             particles=tuple(particles),
             waits=np.maximum(waits, 0),

@@ -1,4 +1,4 @@
-"""Putting lost limbs where they explain more: a pose is proposed, fitted, and kept if it does.
+"""Putting lost limbs where they explain more: poses are proposed, fitted, and the best is kept.
 
 INPUTS: a fitted pose, the frame that it was fitted to, what is remembered of the limbs; an earlier
 pass's estimate, if there was one. OUTPUTS: a RecoveredPose.
@@ -63,10 +63,10 @@ def recover_limbs(
     if s.particles > 1 and has_backgrounds:
         if earlier is not None:
             proposal = recovery.earlier_proposal(limbs, best.projected, earlier.pose)
-            best = _better_of(constants, body, proposal, limbs, frame, best, deviations)
+            best = _best_of(constants, body, proposal, limbs, frame, best, deviations)
             resumed = best.limbs
         proposal, limbs = recovery.propose(limbs, best.projected)
-        best = _better_of(constants, body, proposal, limbs, frame, best, deviations)
+        best = _best_of(constants, body, proposal, limbs, frame, best, deviations)
         searched = best.limbs
     moved = (*resumed, *searched)
     hidden, limbs = recovery.hidden_joints(limbs, best.projected, frame.images, moved)
@@ -74,7 +74,7 @@ def recover_limbs(
     return RecoveredPose(best.fitted, old | new, old & ~new, hidden, limbs)
 
 
-def _better_of(
+def _best_of(
     constants: TrackerConstants,
     body: TrackedBody,
     proposal: LimbProposal | None,
@@ -83,17 +83,21 @@ def _better_of(
     best: _Relocation,
     deviations: np.ndarray,
 ) -> _Relocation:
-    """The pose proposed, fitted; or what there was, and no limbs."""
+    """The best of the poses proposed, each fitted; or what there was, and no limbs."""
     best = best._replace(limbs=())
     if proposal is None:
         return best
     joints, before = body.recovery.joints_of(proposal.limbs), best.fitted
     wide, widest = deviations.copy(), constants.settings.predicted_deviation
     wide[ROOT_DOF:][joints] = np.maximum(wide[ROOT_DOF:][joints], widest)
-    again = fit_pose(constants, body, frame, proposal.pose, wide)
-    old, new = (_project_pose(body, each.result.pose, again, frame) for each in (before, again))
-    gain = body.recovery.gain(proposal.limbs, old, new, limbs.appearance)
-    return _Relocation(again, new, proposal.limbs) if gain > proposal.least_gain else best
+    least = proposal.least_gain
+    for pose in proposal.poses:
+        again = fit_pose(constants, body, frame, pose, wide)
+        old, new = (_project_pose(body, each.result.pose, again, frame) for each in (before, again))
+        gain = body.recovery.gain(proposal.limbs, old, new, limbs.appearance)
+        if gain > least:
+            least, best = gain, _Relocation(again, new, proposal.limbs)
+    return best
 
 
 def _project_pose(
