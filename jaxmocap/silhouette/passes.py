@@ -19,6 +19,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
+from jaxmocap.silhouette.recovery.relocation import slim
 from jaxmocap.silhouette.segmentation.background_models import BackgroundLearner, OnlineBackground
 from jaxmocap.silhouette.smoothing import FrameInformation, smoothed_poses
 from jaxmocap.silhouette.state import PoseEstimate, State, StepReport, TrackedBody, TrackerConstants
@@ -68,7 +69,9 @@ class PassResult:
         self.is_expected.append(frame.expected is not None)
         pose = jax.tree.map(np.asarray, state.pose)
         self.estimates.append(PoseEstimate(pose, state.velocity))
-        self.reports.append(report.slim())
+        revised = report.revised
+        self.reports[len(self.reports) - len(revised) :] = revised
+        self.reports.append(slim(report))
         phi = np.round(PHI_STEPS * np.asarray(report.outlines.segmentation.phi))
         self.level_sets.append(np.clip(phi, -127, 127).astype(np.int8))
         self.milliseconds.append(milliseconds)
@@ -185,7 +188,7 @@ def run_pass(
         if number == 0:
             for _ in range(tracker.constants.settings.settling_steps):
                 first = tracker.step(state, *frame[:3], None, frame.expected)[0]
-                state = first._replace(time=None)
+                state = first._replace(time=None, recent=())
         began = perf_counter()
         before = None if earlier is None else earlier[number]
         state, _, report = tracker.step(state, *frame[:3], before, frame.expected)

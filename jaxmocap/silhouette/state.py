@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.fit.correspond import ContourPairs
@@ -57,11 +58,17 @@ class StepReport(NamedTuple):
     relocated: np.ndarray
     hidden: np.ndarray  # (D,) bool: joints of parts that are not visible where the pose has them
     pairs: ContourPairs  # that the pose was fitted to
+    # Reports of the last frames, the oldest first, where this one withdraws what they had of
+    # relocated joints; in place of theirs.
+    revised: "tuple[StepReport, ...]" = ()
 
-    def slim(self) -> "StepReport":
-        """Without what is large: those of all frames of a recording are kept."""
-        outlines = self.outlines._replace(segmentation=None, contours=())  # type: ignore[arg-type]
-        return self._replace(outlines=outlines, pairs=None)  # type: ignore[arg-type]
+
+class RecentFrame(NamedTuple):
+    """A frame that a later one may still revise."""
+
+    report: StepReport  # in full
+    pose: Pose  # as estimated
+    measured: Measurements  # besides its images
 
 
 class State(NamedTuple):
@@ -77,6 +84,7 @@ class State(NamedTuple):
     body: TrackedBody
     # C models of what each camera shows where nobody stands; None where unknown.
     backgrounds: tuple[Background | None, ...]
+    recent: tuple[RecentFrame, ...] = ()  # the last frames, the oldest first
 
 
 class PoseEstimate(NamedTuple):

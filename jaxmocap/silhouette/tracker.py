@@ -10,6 +10,7 @@
     recover    a limb that explains more where an earlier pass found it is fitted from there; where
                no limb explains a visible person, or a limb explains nothing, a particle filter
                proposes poses and the best is fitted; parts of another colour than before are hidden
+    withdraw   of limbs found elsewhere the last frames' information is taken back
 
 Cameras that show nothing of the person, or what the others deny, are left out frame by frame;
 joints that no camera determines stay where they are predicted, and the report says so.
@@ -45,12 +46,19 @@ from jaxmocap.silhouette.fit.cycles import (
 from jaxmocap.silhouette.pose import standard_deviations
 from jaxmocap.silhouette.recovery.limbs import carrying_bones
 from jaxmocap.silhouette.recovery.lost_limbs import LimbRecovery
-from jaxmocap.silhouette.recovery.relocation import RecoveredPose, recover_limbs
+from jaxmocap.silhouette.recovery.relocation import (
+    RecoveredPose,
+    recover_limbs,
+    remember_frame,
+    slim,
+    withdraw_joints,
+)
 from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
 from jaxmocap.silhouette.segmentation.segment import Histograms
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.state import (
     PoseEstimate,
+    RecentFrame,
     State,
     StepReport,
     TrackedBody,
@@ -198,10 +206,15 @@ class SilhouetteTracker:
         if not determined.any():
             # Who is not visible for an instant moves on; for longer, comes to rest.
             determined, velocity = state.determined, s.damping * state.velocity
+        recent = state.recent
+        if report.relocated.any():
+            recent = withdraw_joints(constants, body, recent, report.relocated)
+            report = report._replace(revised=tuple(slim(each.report) for each in recent))
         now = report.outlines.segmentation.histograms
         after = State(
             pose, velocity, time, kept_histograms(report.used, now, state.histograms), determined,
             history, recovered.limbs, body, state.backgrounds,
+            remember_frame(recent, RecentFrame(report, pose, measured)),
         )  # fmt: skip
         return after, pose, report
 

@@ -92,11 +92,11 @@ def test_each_pass_steps_each_frame_with_what_the_one_before_it_found(monkeypatc
     steps, region = [], SimpleNamespace(origin=np.zeros((1, 2)), scale=np.zeros(1))
 
     class Report(SimpleNamespace):
-        used, hidden = np.ones(1, bool), np.zeros(1, bool)
+        used, hidden, revised = np.ones(1, bool), np.zeros(1, bool), ()
         outlines = Outlines((), SimpleNamespace(phi=np.zeros((1, 8, 8))), region)  # type: ignore[arg-type]
         pairs = None
 
-        def slim(self):
+        def _replace(self, **_):
             return self
 
     class After(SimpleNamespace):

@@ -1,5 +1,7 @@
 """Putting lost limbs where they explain more: poses are proposed, fitted, and the best is kept.
 
+What the last frames measured of a limb is withdrawn once it is found elsewhere.
+
 INPUTS: a fitted pose, the frame that it was fitted to, what is remembered of the limbs; an earlier
 pass's estimate, if there was one. OUTPUTS: a RecoveredPose.
 """
@@ -10,10 +12,16 @@ import numpy as np
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.silhouette.fit.cycles import FittedPose, FrameEvidence, fit_pose
+from jaxmocap.silhouette.fit.cycles import FittedPose, FrameEvidence, fit_pose, information_without
 from jaxmocap.silhouette.recovery.lost_limbs import LimbMemory, LimbProposal
 from jaxmocap.silhouette.recovery.projected_body import ProjectedBody
-from jaxmocap.silhouette.state import PoseEstimate, TrackedBody, TrackerConstants
+from jaxmocap.silhouette.state import (
+    PoseEstimate,
+    RecentFrame,
+    StepReport,
+    TrackedBody,
+    TrackerConstants,
+)
 
 
 class RecoveredPose(NamedTuple):
@@ -107,3 +115,39 @@ def _project_pose(
     return body.recovery.projector.project(
         pose, fitted.outlines, fitted.used, frame.images, frame.backgrounds
     )
+
+
+# Frames before a limb was found elsewhere whose pairs had it in the wrong place.
+LOST_FRAMES = 3
+
+
+def remember_frame(recent: tuple[RecentFrame, ...], frame: RecentFrame) -> tuple[RecentFrame, ...]:
+    """The last ``LOST_FRAMES`` frames after another one."""
+    kept = frame._replace(report=frame.report._replace(revised=()))
+    return (*recent[1 - LOST_FRAMES :], kept)
+
+
+def withdraw_joints(
+    constants: TrackerConstants,
+    body: TrackedBody,
+    recent: tuple[RecentFrame, ...],
+    relocated: np.ndarray,
+) -> tuple[RecentFrame, ...]:
+    """The last frames, joints (D,) that were relocated since being hidden in them."""
+    frames = []
+    for report, pose, measured in recent:
+        hidden, observed = report.hidden | relocated, report.observed.copy()
+        left = information_without(constants, body, hidden, pose, report.pairs, measured)
+        observed[ROOT_DOF:][relocated] = False
+        information, slope = np.asarray(left.information), np.asarray(left.slope)
+        report = report._replace(
+            hidden=hidden, observed=observed, information=information, slope=slope
+        )
+        frames.append(RecentFrame(report, pose, measured))
+    return tuple(frames)
+
+
+def slim(report: StepReport) -> StepReport:
+    """A report without what is large: those of all frames of a recording are kept."""
+    outlines = report.outlines._replace(segmentation=None, contours=())  # type: ignore[arg-type]
+    return report._replace(outlines=outlines, pairs=None, revised=())  # type: ignore[arg-type]
