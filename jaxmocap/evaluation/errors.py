@@ -262,7 +262,7 @@ def evaluate_directory(
     """Errors of the joints that ``track`` wrote, against a reference.
 
     They are those of ``motion.npz``, whose axes are the world's; of ``joints.trc``, Z up, where
-    that is missing.
+    that is missing; or of the one that is named in place of their folder.
 
     ``pairs`` and ``up`` are as in ``evaluate``; without pairs, joints of the same names in both are
     compared. ``offset`` is added to the reference's times, seconds; a .bvh always begins at 0.
@@ -271,13 +271,14 @@ def evaluate_directory(
         InputError: a file that is missing or no marker file, an unknown name, no common time.
         ValueError: another ``up``.
     """
-    path = Path(directory) / "motion.npz"
-    deviations = None
-    if path.is_file():
+    path, deviations = Path(directory), None
+    if not path.is_file():
+        names = ("motion.npz", "joints.trc")
+        path = next((path / name for name in names if (path / name).is_file()), path / names[1])
+    if path.suffix == ".npz":
         motion = load_motion(path)
         times, joints, deviations = motion.times, motion.joints(), motion.deviations()
     else:
-        path = Path(directory) / "joints.trc"
         tracked = read_markers(path)
         times, joints = tracked.times, tracked.points()
     truth = read_markers(truth_path)

@@ -190,6 +190,16 @@ def test_no_common_time_is_an_input_error_with_both_spans(tmp_path):
         evaluate_directory(tmp_path, tmp_path / "truth.trc", {"elbow_l": "LElbow"})
 
 
+def test_a_file_in_place_of_its_folder_is_evaluated(tmp_path):
+    write_trc(tmp_path / "joints.trc", TIMES, {"LElbow": circle(TIMES)})
+    (tmp_path / "motion.npz").write_bytes(b"no motion")
+    errors = evaluate_directory(tmp_path / "joints.trc", tmp_path / "joints.trc")
+    assert errors.joints == ("LElbow",) and errors.mean == 0.0
+    for path in (tmp_path, tmp_path / "motion.npz"):
+        with pytest.raises(InputError, match=r"motion\.npz"):
+            evaluate_directory(path, tmp_path / "joints.trc")
+
+
 def test_a_directory_without_joints_is_an_input_error(tmp_path):
     write_trc(tmp_path / "truth.trc", TIMES, {"LElbow": circle(TIMES)})
     with pytest.raises(InputError, match=r"joints\.trc"):

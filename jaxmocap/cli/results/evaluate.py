@@ -18,7 +18,11 @@ FAR_M, MUCH_NEARER = 0.3, 0.4
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("directory", metavar="DIR", help="what track --out was given")
+    parser.add_argument(
+        "directory",
+        metavar="DIR",
+        help="what track --out was given, or its motion.npz or joints.trc",
+    )
     parser.add_argument("truth", metavar="TRUTH.trc", help="reference: .trc .csv .c3d .bvh .glb")
     parser.add_argument(
         "--match",
