@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxmocap.calibration.hand_flow import HandFlow, MarkerPath, correlation, correlations
+from jaxmocap.calibration.hand_flow import HandFlow, MarkerPath, correlations
 from jaxmocap.calibration.sync import MIN_CORRELATION, hand_paths, liveliest_frames, video_offset
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
@@ -66,13 +66,13 @@ def _wrong_clock(
                 f"{found.std_s:.4f} s), where the recording states {source.offset:g}: write it "
                 "into the file; what is smoothed as a whole is by it already"
             ), found.offset_s
-    pair = flow.flow_pair(0.0)
-    squared = (pair.predicted[np.isfinite(pair.predicted).all(-1)] ** 2).sum(-1)
+    predicted, stated = flow.flow_pair(0.0).predicted, scores[np.abs(lags).argmin()]
+    squared = (predicted[np.isfinite(predicted).all(-1)] ** 2).sum(-1)
     is_fast = len(squared) >= CHECKED_PAIRS and squared.mean() >= CHECKED_SPEED_PX**2
-    if is_fast and correlation(pair) < MIN_STATED_CORRELATION:
+    if is_fast and stated < MIN_STATED_CORRELATION:
         return (
             "where the hands are the image does not move as they do (correlation "
-            f"{correlation(pair):.2f}, 0.7 and more where all fits): check offset, which "
+            f"{stated:.2f}, 0.7 and more where all fits): check offset, which "
             "'jaxmocap sync' finds, the calibration, and whether the video is this recording's"
         ), source.offset
     return "", source.offset
