@@ -42,12 +42,8 @@ class Filters:
 
 def read_filters(fields: TomlTable) -> Filters:
     """Filters of the table; InputError for a field of another kind, or not above 0."""
-    return Filters(
-        hampel=fields.flag("hampel"),
-        gaps=_positive(fields, "gaps") if "gaps" in fields else 0.0,
-        butterworth=_positive(fields, "butterworth") if "butterworth" in fields else None,
-        one_euro=_one_euro(fields) if "one_euro" in fields else None,
-    )
+    stated = {key: _positive(fields, key) for key in ("gaps", "butterworth") if key in fields}
+    return Filters(hampel=fields.flag("hampel"), one_euro=_one_euro(fields), **stated)
 
 
 def _positive(fields: TomlTable, key: str, default: float | None = None) -> float:
@@ -57,7 +53,7 @@ def _positive(fields: TomlTable, key: str, default: float | None = None) -> floa
 
 
 def _one_euro(fields: TomlTable) -> OneEuroSettings | None:
-    value, default = fields.require("one_euro"), OneEuroSettings()
+    value, default = fields.entries.get("one_euro", False), OneEuroSettings()
     if isinstance(value, bool):
         return default if value else None
     table = TomlTable(fields.path, f"{fields.where} one_euro", value, ("cutoff", "beta"))
