@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 from jaxmocap.formats.files.toml import TomlTable
 
-# Hz and seconds that filters may be given.
-SMALLEST_VALUE = 1e-6
-LARGEST_VALUE = 1e6
+# Hz and seconds that filters may have.
+VALUES = (1e-6, 1e6, "a positive number")
 FILTER_KEYS = ("hampel", "gaps", "butterworth", "one_euro")
 
 
@@ -42,14 +41,9 @@ class Filters:
 
 def read_filters(fields: TomlTable) -> Filters:
     """Filters of the table; InputError for a field of another kind, or not above 0."""
-    stated = {key: _positive(fields, key) for key in ("gaps", "butterworth") if key in fields}
+    named = [key for key in ("gaps", "butterworth") if key in fields]
+    stated = {key: fields.number(key, None, *VALUES) for key in named}
     return Filters(hampel=fields.flag("hampel"), one_euro=_one_euro(fields), **stated)
-
-
-def _positive(fields: TomlTable, key: str, default: float | None = None) -> float:
-    if (value := fields.number(key, default)) <= 0:
-        raise fields.error(key, f"found {value:g}, expected a positive number")
-    return fields.number(key, default, SMALLEST_VALUE, LARGEST_VALUE)
 
 
 def _one_euro(fields: TomlTable) -> OneEuroSettings | None:
@@ -58,5 +52,5 @@ def _one_euro(fields: TomlTable) -> OneEuroSettings | None:
         return default if value else None
     table = TomlTable(fields.path, f"{fields.where} one_euro", value, ("cutoff", "beta"))
     return OneEuroSettings(
-        _positive(table, "cutoff", default.cutoff), _positive(table, "beta", default.beta)
+        table.number("cutoff", default.cutoff, *VALUES), table.number("beta", default.beta, *VALUES)
     )
