@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.board.finding import MIN_VIEWS, BoardDetections, find_boards
-from jaxmocap.calibration.board.opencv_lenses import LensKind
+from jaxmocap.calibration.board.opencv_lenses import LensKind, tilt_degrees
 from jaxmocap.calibration.board.result_pictures import draw_views, picture_folder
 from jaxmocap.calibration.intrinsics import (
     ImageCoverage,
@@ -23,7 +24,6 @@ from jaxmocap.calibration.intrinsics import (
     intrinsics_warnings,
     why_undetermined,
 )
-from jaxmocap.calibration.planar_poses import tilt_degrees
 from jaxmocap.formats.cameras.calibration import (
     Intrinsics,
     check_camera_writable,
@@ -32,6 +32,8 @@ from jaxmocap.formats.cameras.calibration import (
 )
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import read_toml
+
+_PIXELS = ("fx", "fy", "cx", "cy")
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,82 @@ class IntrinsicsResult:
             (view.name, *((pose.rms, tilt_degrees(pose)) if pose else nothing), use)
             for view, pose, use in both
         ]
+
+    def text(self) -> str:
+        """Pictures with their errors, parameters with their deviations, warnings, files."""
+        width, height = self.estimate.lens.size
+        pictures = [
+            f"  {name}: {error:.2f} px, {tilt:.0f}°"
+            if use
+            else f"  {name}: {error:.2f} px, LEFT OUT: its corners do not fit the other views"
+            for name, error, tilt, use in self.rows()
+        ]
+        used = sum(self.estimate.used)
+        total = len(self.detections.pictures)
+        lines = [
+            f"[{self.camera}] {width:g} × {height:g} pixels, {used} of {total} pictures used, "
+            f"{self.estimate.rms:.3f} pixels RMS",
+            "",
+            "picture: reprojection, tilt of the board",
+            *pictures,
+            *(f"  {name}: no board found" for name in self.detections.not_found),
+            *(f"  {name}: the same as an earlier one" for name in self.detections.duplicates),
+            "",
+            *_parameters(self.estimate),
+            "",
+            f"coverage: {100 * self.coverage.share:.0f} % of the image",
+            *(f"warning: {sentence}" for sentence in self.warnings),
+            *(f"written  {path}" for path in self.files),
+        ]
+        return "\n".join(lines)
+
+    def figures(self) -> dict[str, Any]:
+        """The same as figures, pixels, degrees; what is not finite has none."""
+        estimate = self.estimate
+        parameters = {
+            name: {
+                "value": estimate.values[i],
+                "std": estimate.std[i],
+                "jackknife_std": estimate.jackknife_std[i],
+                "left_out_min": estimate.leave_one_out[:, i].min(),
+                "left_out_max": estimate.leave_one_out[:, i].max(),
+            }
+            for i, name in enumerate(estimate.parameters)
+        }
+        pictures = [
+            {"name": name, "rms_px": error, "tilt_deg": tilt, "used": use}
+            for name, error, tilt, use in self.rows()
+        ]
+        return {
+            "camera": self.camera,
+            "size_px": [int(n) for n in estimate.lens.size],
+            "board": self.detections.board.label,
+            "rms_px": estimate.rms,
+            "pictures": pictures,
+            "used": sum(estimate.used),
+            "left_out": [name for name, _, _, use in self.rows() if not use],
+            "not_found": self.detections.not_found,
+            "repeated": self.detections.duplicates,
+            "parameters": parameters,
+            "coverage_share": self.coverage.share,
+            "empty": self.coverage.empty,
+            "warnings": self.warnings,
+            "files": self.files,
+        }
+
+
+def _parameters(estimate: IntrinsicsEstimate) -> list[str]:
+    rows = [["", "value", "std", "one view left out", "jackknife std"]]
+    ranges = np.stack([estimate.leave_one_out.min(0), estimate.leave_one_out.max(0)], -1)
+    columns = estimate.parameters, estimate.values, estimate.std, ranges, estimate.jackknife_std
+    for name, value, std, (low, high), jackknife in zip(*columns, strict=True):
+        if value == 0 and std == 0:
+            continue
+        digits = 1 if name in _PIXELS else 4
+        cells = [f"{number:.{digits}f}" for number in (value, std, low, high, jackknife)]
+        rows.append([name, cells[0], cells[1], f"{cells[2]} to {cells[3]}", cells[4]])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
 
 
 def calibrate_camera(

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.calibration.board.opencv_lenses import project_points
-from jaxmocap.calibration.planar_poses import (
+from jaxmocap.calibration.board.opencv_lenses import (
     FLAT_THICKNESS,
     CameraPose,
     candidate_poses,
+    project_points,
     relative_thickness,
     rms_length,
 )

@@ -17,8 +17,14 @@ import cv2
 import numpy as np
 
 from jaxmocap.calibration.board.corners import planarity_residuals
-from jaxmocap.calibration.board.opencv_lenses import LensFit, LensKind, fit_lens
-from jaxmocap.calibration.planar_poses import CameraPose, candidate_poses, rms_length
+from jaxmocap.calibration.board.opencv_lenses import (
+    CameraPose,
+    LensFit,
+    LensKind,
+    candidate_poses,
+    fit_lens,
+    rms_length,
+)
 from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.geometry.lenses import LENSES, WIDEST_RAD
 

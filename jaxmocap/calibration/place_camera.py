@@ -5,16 +5,17 @@ OUTPUTS: rotation and translation in the camera's section, a picture to look at,
 ExtrinsicsResult.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.board.corners import Corners, find_corners
-from jaxmocap.calibration.board.finding import hint_of_other_counts
-from jaxmocap.calibration.board.pictures import Picture
+from jaxmocap.calibration.board.finding import Picture, hint_of_other_counts
 from jaxmocap.calibration.board.result_pictures import draw_placement, picture_folder
 from jaxmocap.calibration.extrinsics import (
     Placement,
@@ -22,6 +23,7 @@ from jaxmocap.calibration.extrinsics import (
     board_to_world,
     estimate_placement,
     is_wrong_way_up,
+    position_world_of,
 )
 from jaxmocap.capture.video import check_size
 from jaxmocap.formats.cameras.calibration import (
@@ -57,6 +59,56 @@ class ExtrinsicsResult:
     placement: Placement  # the camera in the world, and residuals
     warnings: tuple[str, ...]  # sentences that a user should see
     files: tuple[Path, ...]  # written
+
+    def text(self) -> str:
+        """The camera's place and its standard deviation, warnings, files."""
+        placement = self.placement
+        x, y, z = placement.position_world
+        lines = [
+            f"[{self.camera}] stands at ({x:.3f}, {y:.3f}, {z:.3f}) m, looks along "
+            f"{_vector(placement.T_cam_world[2, :3])}",
+            f"  {self.image}: {placement.rms:.2f} pixels RMS over {placement.used.sum()} of "
+            f"{len(self.names)} points",
+            f"  standard deviation: {_vector(1e3 * placement.std_m, 1)} mm, "
+            f"{placement.std_deg:.2f}°, by the corners' noise alone (not the intrinsics', nor that "
+            "of what was measured)",
+        ]
+        if placement.mirrored is not None:
+            lines.append(
+                f"  the mirrored solution that a flat target has, at "
+                f"{_vector(position_world_of(placement.mirrored))} m, fits "
+                f"{placement.mirrored_ratio:.1f} times as badly"
+            )
+        lines += [f"warning: {sentence}" for sentence in self.warnings]
+        return "\n".join([*lines, *(f"written  {path}" for path in self.files)])
+
+    def figures(self) -> dict[str, Any]:
+        """The same as figures, metres, degrees, pixels; what is not finite has none."""
+        placement, mirrored = self.placement, self.placement.mirrored
+        return {
+            "camera": self.camera,
+            "position_m": placement.position_world,
+            "looks_along": placement.T_cam_world[2, :3],
+            "rotation": placement.rotation,
+            "translation_m": placement.T_cam_world[:3, 3],
+            "rms_px": placement.rms,
+            "position_std_m": placement.std_m,
+            "direction_std_deg": placement.std_deg,
+            "points": [
+                {"name": name, "error_px": np.linalg.norm(residual), "used": use}
+                for name, residual, use in zip(
+                    self.names, placement.residuals_xy, placement.used, strict=True
+                )
+            ],
+            "mirrored_position_m": None if mirrored is None else position_world_of(mirrored),
+            "mirrored_ratio": placement.mirrored_ratio,
+            "warnings": self.warnings,
+            "files": self.files,
+        }
+
+
+def _vector(values: Sequence[float] | np.ndarray, digits: int = 2) -> str:
+    return f"({', '.join(f'{value:.{digits}f}' for value in values)})"
 
 
 def place_camera(

@@ -54,13 +54,9 @@ class Cleaning:
 
     def figures(self) -> dict[str, Any]:
         """Filters that were on, and counts for each marker."""
+        kinds = ("frozen", "outliers", "filled", "missing")
         counts = {
-            name: {
-                "frozen": int(self.frozen[:, i].sum()),
-                "outliers": int(self.outliers[:, i].sum()),
-                "filled": int(self.filled[:, i].sum()),
-                "missing": int(self.missing[:, i].sum()),
-            }
+            name: {kind: int(getattr(self, kind)[:, i].sum()) for kind in kinds}
             for i, name in enumerate(self.names)
         }
         is_changed = bool(self.applied) or self.frozen.any()

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol, TextIO
+from typing import Any, Protocol, TextIO, TypeVar
 
 from jaxmocap.formats.files.errors import InputError, printable, shorten_text
 from jaxmocap.formats.files.output_folder import refuse_outputs
@@ -22,6 +22,7 @@ from jaxmocap.formats.recordings.recording_files import input_files
 # A whole number has at most so many digits: a longer one would not fit into 32 bits.
 MOST_DIGITS = 9
 LARGEST_PORT = 65_535
+T = TypeVar("T")
 
 
 class Command(Protocol):
@@ -51,45 +52,45 @@ def name_of(command: Command) -> str:
     return command.__name__.rpartition(".")[2]
 
 
-def positive_number(text: str) -> float:
-    """A number above 0."""
-    return _value(text, float, lambda value: 0 < value < math.inf, "a positive number")
+def _reader(
+    expected: str, read: Callable[[str], T], fits: Callable[[T], Any] = lambda value: True
+) -> Callable[[str], T]:
+    """Reads an option's text, where it can and what it reads fits; else that is expected."""
 
+    def read_option(text: str) -> T:
+        with suppress(ValueError):
+            if fits(value := read(text)):
+                return value
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected {expected}")
 
-def finite_number(text: str) -> float:
-    """Any number but infinity and NaN."""
-    return _value(text, float, math.isfinite, "a finite number")
-
-
-def whole_number(text: str) -> int:
-    """A whole number from 0 on."""
-    return _value(text, _whole, lambda value: True, "a whole number from 0 on")
-
-
-def positive_whole_number(text: str) -> int:
-    """A whole number from 1 on."""
-    return _value(text, _whole, lambda value: value > 0, "a whole number above 0")
-
-
-def port_number(text: str) -> int:
-    """A TCP port."""
-    expected = f"a port, 0 to {LARGEST_PORT}"
-    return _value(text, _whole, lambda value: value <= LARGEST_PORT, expected)
-
-
-def _value(
-    text: str, read: Callable[[str], Any], fits: Callable[[Any], bool], expected: str
-) -> Any:
-    with suppress(ValueError):
-        if fits(value := read(text)):
-            return value
-    raise argparse.ArgumentTypeError(f"found {text}, expected {expected}")
+    return read_option
 
 
 def _whole(text: str) -> int:
     if not (text.isascii() and text.isdecimal() and len(text) <= MOST_DIGITS):
         raise ValueError
     return int(text)
+
+
+def _product(text: str) -> tuple[int, int]:
+    """Two whole numbers with x between them."""
+    first, second = map(_whole, text.lower().split("x"))
+    return first, second
+
+
+def _dictionary_and_side(text: str) -> tuple[str, float]:
+    dictionary, side = text.split(",", 1)
+    return dictionary.strip(), positive_number(side)
+
+
+positive_number = _reader("a positive number", float, lambda value: 0 < value < math.inf)
+finite_number = _reader("a finite number", float, math.isfinite)
+whole_number = _reader("a whole number from 0 on", _whole)
+positive_whole_number = _reader("a whole number above 0", _whole, bool)
+port_number = _reader(f"a port, 0 to {LARGEST_PORT}", _whole, LARGEST_PORT.__ge__)
+inner_corners = _reader("inner corners such as 4x7", _product)
+picture_size = _reader("pixels such as 1920x1080", _product, min)
+charuco_markers = _reader("a dictionary and metres such as 5X5_100,0.045", _dictionary_and_side)
 
 
 def names(text: str) -> list[str]:
@@ -99,31 +100,21 @@ def names(text: str) -> list[str]:
 
 def numbers(count: int, expected: str | None = None) -> Callable[[str], tuple[float, ...]]:
     """Reads so many finite numbers between commas; ``expected`` is their form, as in messages."""
-
-    def read(text: str) -> tuple[float, ...]:
-        try:
-            values = tuple(float(part) for part in text.split(","))
-        except ValueError:
-            values = ()
-        if len(values) != count or not all(map(math.isfinite, values)):
-            raise argparse.ArgumentTypeError(
-                f"found {text!r}, expected {expected or f'{count} numbers'}"
-            )
-        return values
-
-    return read
+    return _reader(
+        expected or f"{count} numbers",
+        lambda text: tuple(map(float, text.split(","))),
+        lambda values: len(values) == count and all(map(math.isfinite, values)),
+    )
 
 
 def pair(expected: str) -> Callable[[str], tuple[str, str]]:
     """Reads two names with = between them; ``expected`` is their form, such as JOINT=MARKER."""
 
     def read(text: str) -> tuple[str, str]:
-        left, equals, right = text.partition("=")
-        if not (left and equals and right):
-            raise argparse.ArgumentTypeError(f"found {text!r}, expected {expected}")
+        left, _, right = text.partition("=")
         return left, right
 
-    return read
+    return _reader(expected, read, all)
 
 
 class PairsAction(argparse.Action):
@@ -138,34 +129,6 @@ class PairsAction(argparse.Action):
         if twice:
             raise argparse.ArgumentError(self, f"found {twice[0]} twice, expected each name once")
         setattr(namespace, self.dest, dict(values))
-
-
-def inner_corners(text: str) -> tuple[int, int]:
-    """COLUMNSxROWS of a chessboard's inner corners."""
-    return _product(text, 0, "inner corners such as 4x7")
-
-
-def picture_size(text: str) -> tuple[int, int]:
-    """WIDTHxHEIGHT of pictures."""
-    return _product(text, 1, "pixels such as 1920x1080")
-
-
-def _product(text: str, least: int, expected: str) -> tuple[int, int]:
-    """Two whole numbers with x between them."""
-    first, _, second = text.lower().partition("x")
-    with suppress(ValueError):
-        if min(found := (_whole(first), _whole(second))) >= least:
-            return found
-    raise argparse.ArgumentTypeError(f"found {text!r}, expected {expected}")
-
-
-def charuco_markers(text: str) -> tuple[str, float]:
-    """DICTIONARY,METRES of a ChArUco board's markers."""
-    dictionary, comma, side = text.partition(",")
-    if not comma:
-        expected = "a dictionary and metres such as 5X5_100,0.045"
-        raise argparse.ArgumentTypeError(f"found {text!r}, expected {expected}")
-    return dictionary.strip(), positive_number(side)
 
 
 # Options that name what is written.

@@ -34,7 +34,7 @@ from jaxmocap.formats.files.errors import FileError, InputError, comma_list
 from jaxmocap.formats.motion_npz import load_motion, save_motion
 from jaxmocap.formats.opensim.coordinates import OPENSIM, write_opensim
 from jaxmocap.formats.time_series.axes import Y_UP, from_world
-from jaxmocap.formats.time_series.c3d import unconverted_content, write_c3d
+from jaxmocap.formats.time_series.c3d import write_c3d
 from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.mot import motion_from_angles, read_mot, write_isb, write_mot
@@ -115,12 +115,15 @@ def convert_file(
     _check_options(conversion, *kinds)
     if kinds[0] in MARKER_SUFFIXES:
         _write_markers(conversion, _read_markers(conversion))
-    elif kinds[1] in MARKER_SUFFIXES:
-        _write_markers(conversion, _joints_as_markers(conversion, _read_motion(conversion)))
+        return conversion.warnings
+    unit = None if kinds[1] == ".bvh" else options.unit
+    motion = _read_motion(conversion.source, unit, options.body)
+    if kinds[1] in MARKER_SUFFIXES:
+        _write_markers(conversion, _joints_as_markers(conversion, motion))
     elif kinds[1] in DEFAULT_CONVENTION:
-        _write_armature(conversion, _read_motion(conversion))
+        _write_armature(conversion, motion)
     else:
-        _write_motion(conversion, _read_motion(conversion))
+        _write_motion(conversion, motion)
     return conversion.warnings
 
 
@@ -152,10 +155,7 @@ def _read_markers(conversion: _Conversion) -> Markers:
     markers = read_markers(conversion.source)
     if count := sum(markers.at_zero.values()):
         conversion.warnings.append(f"left out: {count} positions at exactly 0, 0, 0, as missing")
-    if conversion.source.suffix.lower() == ".c3d":
-        conversion.warnings += [
-            f"left out: {content}" for content in unconverted_content(conversion.source)
-        ]
+    conversion.warnings += [f"left out: {content}" for content in markers.left_out]
     return markers
 
 
@@ -196,29 +196,20 @@ def _write_markers(conversion: _Conversion, markers: Markers) -> None:
         ) from None
 
 
-def _read_motion(conversion: _Conversion) -> Motion | Armature:
-    """What the source holds, in the world's axes."""
-    path, kind = conversion.source, conversion.source.suffix.lower()
+def _read_motion(path: Path, unit: str | None, body: Path | None) -> Motion | Armature:
+    """What a file holds, in the world's axes; the angles of a .mot are those of a ``body``."""
+    kind = path.suffix.lower()
     if kind == ".npz":
         return load_motion(path)
     if kind == ".mot":
+        if body is None or body.suffix.lower() not in (".npz", ".bvh", ".glb"):
+            raise InputError(body or path, "expected a .npz, .bvh or .glb file, which holds a body")
         times, columns = read_mot(path)
-        return motion_from_angles(path, times, columns, _body(conversion).skeleton)
-    unit = None if conversion.target.suffix.lower() == ".bvh" else conversion.options.unit
+        motion = _read_motion(body, unit, None)
+        motion = motion if isinstance(motion, Motion) else motion_of(motion, body)
+        return motion_from_angles(path, times, columns, motion.skeleton)
     armature = read_bvh(path, unit) if kind == ".bvh" else read_gltf(path)
     return rotated_armature(armature, R_FILE_WORLD.T)
-
-
-def _body(conversion: _Conversion) -> Motion:
-    """A motion of the body whose angles a .mot holds."""
-    body = conversion.options.body
-    if body is None or body.suffix.lower() not in (".npz", ".bvh", ".glb"):
-        raise InputError(
-            body or conversion.source, "expected a .npz, .bvh or .glb file, which holds a body"
-        )
-    lender = _Conversion(body, conversion.target, replace(conversion.options, body=None))
-    motion = _read_motion(lender)
-    return motion if isinstance(motion, Motion) else motion_of(motion, body)
 
 
 def _joint_names(conversion: _Conversion, joints: tuple[str, ...]) -> tuple[str, ...]:

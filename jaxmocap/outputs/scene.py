@@ -125,12 +125,12 @@ def _outlines(camera: Camera, near: Array, far: Array, radii: Array) -> Array:
     sizes = jnp.moveaxis(discs.radii, -1, 0)
     both = outline_pieces(x, y, sizes, POINTS_ALONG, POINTS_AROUND, jnp.ones_like(sizes))
 
-    def closed(sides: Array, arcs: Array) -> Array:
+    def close_loop(sides: Array, arcs: Array) -> Array:
         """(..., P) of two pieces each, joined into one loop."""
         loop = [sides[0], arcs[1, ::-1], sides[1, ::-1], arcs[0, ::-1], sides[0, :1]]
         return jnp.moveaxis(jnp.concatenate(loop), 0, -1)
 
-    xs, ys = (closed(*(getattr(piece, axis) for piece in both)) for axis in "xy")
+    xs, ys = (close_loop(*(getattr(piece, axis) for piece in both)) for axis in "xy")
     ahead = jnp.minimum(near_cam[..., 2], far_cam[..., 2]) - jnp.max(radii, -1) > NEAREST_M
     xy = jnp.stack(pixel_components_anywhere(camera, xs, ys), -1)
     return jnp.where(ahead[..., None, None], xy, jnp.nan)

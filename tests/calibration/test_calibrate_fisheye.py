@@ -8,10 +8,9 @@ import pytest
 from conftest import read_calibration
 from drawn_boards import BOARD, FISHEYE_LENS, SIZE, draw, views, write_views
 
-from jaxmocap.calibration.board.opencv_lenses import LensKind, project_points
+from jaxmocap.calibration.board.opencv_lenses import LensKind, candidate_poses, project_points
 from jaxmocap.calibration.extrinsics import board_to_world
 from jaxmocap.calibration.intrinsics import BoardView, estimate_intrinsics
-from jaxmocap.calibration.planar_poses import candidate_poses
 from jaxmocap.cli.program import main
 from jaxmocap.formats.cameras.calibration import read_intrinsics
 from jaxmocap.geometry.lenses import FISHEYE

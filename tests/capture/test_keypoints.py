@@ -264,7 +264,7 @@ def test_joints_in_space_come_with_those_who_have_them(tmp_path):
         ([[1, 2, 3]] * 16, "keypoints_3d: found shape (16, 3), expected [x, y, z] of each key poi"),
         ([[1, 2]] * 17, "keypoints_3d: found shape (17, 2), expected [x, y, z] of each key point"),
         ([[1, 2, 1e3]] * 17, "keypoints_3d: found 1000, expected metres within 100"),
-        ("none", "keypoints_3d: found 'none', expected a list"),
+        ("none", "keypoints_3d: found 'none', expected a JSON list"),
     ],
 )
 def test_joints_that_are_none_are_refused(tmp_path, joints, says):
@@ -310,8 +310,8 @@ def by_names(names: dict[str, str], person: np.ndarray) -> dict:
         ({}, "found no .json file"),
         ({"0.json": {"people": []}}, "found nobody in any frame"),
         ({"0.json": {"bodies": []}}, "0.json: found no key points, expected 'people'"),
-        ({"0.json": {"people": {}}}, "0.json: people: found {}, expected a list"),
-        ({"0.json": {"people": [3]}}, "people[0].pose_keypoints_2d: found None, expected a"),
+        ({"0.json": {"people": {}}}, "0.json: people: found {}, expected a JSON list"),
+        ({"0.json": {"people": [3]}}, "people[0]: found 3, expected a JSON table"),
         ({"0.json": openpose(COMPLETE.ravel()[:-1])}, "found 50 numbers, expected x, y, c"),
         ({"0.json": openpose(COMPLETE[:14])}, "found 14 points, expected those of BODY_25 (25)"),
         ({"0.json": openpose(COMPLETE), "1.json": openpose(COMPLETE[1:])}, "1.json: found 16 poi"),
@@ -333,7 +333,7 @@ def by_names(names: dict[str, str], person: np.ndarray) -> dict:
         ),
         ({"0.json": [{"keypoints": [], "keypoint_scores": []}]}, "[0].keypoints: found shape (0,)"),
         ({"0.json": [{"instances": []}]}, "[0].frame_id: found None, expected a whole"),
-        ({"0.json": {"instance_info": [4]}}, "instance_info[0].keypoints: found None"),
+        ({"0.json": {"instance_info": [4]}}, "instance_info[0]: found 4, expected a JSON table"),
         (
             {"0.json": by_names({"0": "left_elbow"}, COMPLETE)},
             "found 17 points, but meta_info names 1",

@@ -115,7 +115,7 @@ def test_a_live_stream_measures_no_point_where_a_marker_is_frozen():
             for name, place in zip(NAMES, sample.tolist(), strict=True)
         ]
         gathers.add(messages, float(time), float(time), is_complete=True)
-        listed.append(gathers.frozen())
+        listed.append(gathers.frozen_markers())
     gone = ~np.isfinite([sample.positions_world for sample in samples]).all(-1)
     np.testing.assert_array_equal(gone, find_frozen(times, points, causal=True))
     assert listed[300] == ["wrist_r"] and listed[199] == listed[400] == []

@@ -183,7 +183,7 @@ def test_what_stands_among_the_points_and_is_none_is_left_out_with_a_warning(tmp
     markers = read_c3d(tmp_path / "a.c3d")
     assert markers.names == ("LKNE", "RKNE")
     np.testing.assert_allclose(markers.positions[0, :, 0], [1e-3, 4e-3], rtol=1e-6)
-    (left,) = c3d.unconverted_content(tmp_path / "a.c3d")
+    (left,) = markers.left_out
     assert left.startswith("2 angles, forces") and left.endswith("LKneeAngles, LKneeMoment")
 
 

@@ -58,7 +58,7 @@ def test_a_folder_of_more_files_than_frames_is_refused(tmp_path, monkeypatch):
         ('[{"frame_id": ' + "9" * 5000 + ', "instances": []}]', "thousands of digits"),
         ('[{"frame_id": 1e3, "instances": []}]', "[0].frame_id: found 1000.0, expected a whole"),
         (f'[{{"frame_id": {10**13}, "instances": []}}]', "[0].frame_id: found 10000000000000"),
-        ('{"people": "\\u001b[31m"}', "people: found '\\x1b[31m', expected a list"),
+        ('{"people": "\\u001b[31m"}', "people: found '\\x1b[31m', expected a JSON list"),
         ('{"people": [{"pose_keypoints_2d": [1e300, 1, 1]}]}', "found 1e+300, expected pixels"),
         ('{"people": [{"pose_keypoints_2d": [true, 1, 1]}]}', "found other than equally long"),
         ('{"people": [{"pose_keypoints_2d": ["1", 1, 1]}]}', "found other than equally long"),

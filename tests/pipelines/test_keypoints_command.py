@@ -21,7 +21,7 @@ from jaxmocap.cli.program import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoints import read_keypoints
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.images.crops import crop_image
+from jaxmocap.images.regions import crop_image
 from jaxmocap.pipelines.keypoints.by_mediapipe import mediapipe_detector
 from jaxmocap.pipelines.keypoints.by_onnx import onnx_detector
 from jaxmocap.pipelines.keypoints.detect import _boxes

@@ -1,6 +1,10 @@
 """What OpenCV does with either kind of lens: project, find poses, calibrate.
 
-INPUTS: points (metres, any frame), pixels, Intrinsics. OUTPUTS: pixels, derivatives, poses, a lens.
+Of a plane seen with little perspective there are two poses that explain the picture almost equally
+well, mirror images of one another about the line of sight (Collins & Bartoli 2014, IPPE).
+
+INPUTS: points (metres, any frame), pixels, Intrinsics. OUTPUTS: pixels, derivatives; CameraPoses,
+the best first; a lens.
 """
 
 from collections.abc import Sequence
@@ -13,6 +17,8 @@ from scipy.optimize import least_squares
 from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.geometry.lenses import BROWN_CONRADY, FISHEYE, LENSES
 
+# An array of each view.
+Views = Sequence[np.ndarray]
 # Coefficients of an ordinary lens that can be asked for, and what OpenCV then holds at zero.
 ORDINARY = {
     0: cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
@@ -25,6 +31,31 @@ ORDINARY = {
 _CALIBRATED = 5
 _FISHEYE_STEPS = 200
 _FISHEYE_PRECISION = 1e-10
+# Points are flat where their thickness is less than this part of their breadth.
+FLAT_THICKNESS = 1e-3
+# Two refined poses are one where they differ less than this, radians.
+SAME_POSE_RAD = 1e-3
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """From the points' frame to the camera's."""
+
+    rvec: np.ndarray  # (3,) Rodrigues vector
+    tvec: np.ndarray  # (3,) metres
+    residuals_xy: np.ndarray  # (N, 2) reprojected minus detected, pixels
+
+    @property
+    def rms(self) -> float:
+        """Root mean square length of the residuals, pixels."""
+        return rms_length(self.residuals_xy)
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """(4, 4) T_cam_points."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = cv2.Rodrigues(self.rvec)[0], self.tvec
+        return T
 
 
 @dataclass(frozen=True)
@@ -79,15 +110,62 @@ def _four(lens: Intrinsics) -> np.ndarray:
     return np.concatenate([lens.distortions, np.zeros(4)])[:4]
 
 
-def pose_candidates(
+def rms_length(residuals_xy: np.ndarray) -> float:
+    """Root mean square length of (N, 2) residuals, pixels, as OpenCV counts it."""
+    return float(np.sqrt((residuals_xy**2).sum(-1).mean()))
+
+
+def candidate_poses(
+    points: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics
+) -> list[CameraPose]:
+    """The poses of a camera that sees (N, 3) points at (N, 2) pixels: one, or two for flat ones.
+
+    Each is refined by Levenberg-Marquardt; a second that slides into the first is none. Empty where
+    OpenCV finds none, which happens with senseless intrinsics.
+    """
+    method = (
+        cv2.SOLVEPNP_IPPE if relative_thickness(points) < FLAT_THICKNESS else cv2.SOLVEPNP_SQPNP
+    )
+    try:
+        poses = [
+            CameraPose(
+                rvec.ravel(), tvec.ravel(), project_points(points, rvec, tvec, lens)[0] - pixels_xy
+            )
+            for rvec, tvec in _poses(points, pixels_xy, lens, method)
+        ]
+    except cv2.error:
+        return []
+    in_front = [
+        pose
+        for pose in poses
+        if np.isfinite(pose.rms) and (points @ pose.matrix[2, :3] + pose.tvec[2] > 0).all()
+    ]
+    in_front.sort(key=lambda pose: pose.rms)
+    return [pose for i, pose in enumerate(in_front) if all(_differ(pose, q) for q in in_front[:i])]
+
+
+def relative_thickness(points: np.ndarray) -> float:
+    """Smallest over largest extent of (N, 3) points: 0 for a plane."""
+    extents = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    return float(extents[2] / extents[0])
+
+
+def tilt_degrees(pose: CameraPose) -> float:
+    """Angle between a board's normal and the camera's axis, degrees, 0 to 90."""
+    return float(np.degrees(np.arccos(np.clip(abs(pose.matrix[2, 2]), 0, 1))))
+
+
+def _differ(a: CameraPose, b: CameraPose) -> bool:
+    rotation, _ = cv2.Rodrigues(a.matrix[:3, :3] @ b.matrix[:3, :3].T)
+    return float(np.linalg.norm(rotation)) > SAME_POSE_RAD
+
+
+def _poses(
     points: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, method: int
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Rodrigues vectors and translations of a camera that sees points (N, 3) at pixels (N, 2).
 
-    They are refined; ``method`` is OpenCV's, such as SOLVEPNP_IPPE.
-
-    Raises:
-        cv2.error: OpenCV finds none.
+    They are refined; ``method`` is OpenCV's. cv2.error where it finds none.
     """
     points, pixels_xy = np.ascontiguousarray(points), np.ascontiguousarray(pixels_xy)
     K, d = lens.matrix, lens.distortions
@@ -121,12 +199,7 @@ def _refine_pose(
     return solution[:3], solution[3:]
 
 
-def fit_lens(
-    points: Sequence[np.ndarray],
-    pixels: Sequence[np.ndarray],
-    size: tuple[int, int],
-    kind: LensKind,
-) -> LensFit:
+def fit_lens(points: Views, pixels: Views, size: tuple[int, int], kind: LensKind) -> LensFit:
     """Calibrate from V views of a flat board: points (N, 3), metres, and pixels (N, 2) of each.
 
     The pictures' ``size`` is their width and height, pixels.
@@ -145,12 +218,7 @@ def fit_lens(
     return lens
 
 
-def _fit_ordinary(
-    points: Sequence[np.ndarray],
-    pixels: Sequence[np.ndarray],
-    size: tuple[int, int],
-    kind: LensKind,
-) -> LensFit:
+def _fit_ordinary(points: Views, pixels: Views, size: tuple[int, int], kind: LensKind) -> LensFit:
     on_board, in_image = ([part.astype(np.float32) for part in views] for views in (points, pixels))
     flags = ORDINARY[kind.coefficients]
     error, K, d, _, _, std, _, _ = cv2.calibrateCameraExtended(
@@ -162,12 +230,7 @@ def _fit_ordinary(
     return LensFit(lens, float(error), values, std.ravel()[:9])
 
 
-def _fit_fisheye(
-    points: Sequence[np.ndarray],
-    pixels: Sequence[np.ndarray],
-    size: tuple[int, int],
-    kind: LensKind,
-) -> LensFit:
+def _fit_fisheye(points: Views, pixels: Views, size: tuple[int, int], kind: LensKind) -> LensFit:
     """OpenCV gives no deviations: they are of its own derivatives, by least squares."""
     held = [f"CALIB_FIX_K{i}" for i in range(kind.coefficients + 1, 5)]
     names = ("CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW", *held)

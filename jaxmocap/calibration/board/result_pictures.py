@@ -11,15 +11,13 @@ import cv2
 import numpy as np
 
 from jaxmocap.calibration.board.boards import Board
-from jaxmocap.calibration.board.finding import BoardDetections
-from jaxmocap.calibration.board.opencv_lenses import project_points
-from jaxmocap.calibration.board.pictures import Picture
+from jaxmocap.calibration.board.finding import BoardDetections, Picture
+from jaxmocap.calibration.board.opencv_lenses import project_points, tilt_degrees
 from jaxmocap.calibration.extrinsics import Placement
 from jaxmocap.calibration.intrinsics import IntrinsicsEstimate
-from jaxmocap.calibration.planar_poses import tilt_degrees
+from jaxmocap.capture.photographs import write_picture
 from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.formats.files.output_folder import OutputFolder
-from jaxmocap.formats.files.writing import write_bytes
 
 # BGR.
 DETECTED_COLOUR = (90, 230, 90)
@@ -140,13 +138,6 @@ def draw_coverage(
     return canvas
 
 
-def write_annotated(path: Path, picture: AnnotatedPicture) -> Path:
-    """Write a JPEG file; its path."""
-    quality = [cv2.IMWRITE_JPEG_QUALITY, 92]
-    write_bytes(path, cv2.imencode(".jpg", picture.image, quality)[1].tobytes())
-    return path
-
-
 # Axes of the world are drawn this long, metres,
 _WORLD_AXES_M = 0.5
 # and the board's this many squares.
@@ -198,14 +189,14 @@ def draw_views(
                 canvas.axes(pose.matrix, result.lens, length, "origin")
         # Numbered, so that files of one name from several folders do not meet.
         stem = Path(picture.name).name.replace(picture.path.suffix, "").replace(" ", "_")
-        files.append(write_annotated(Path(folder) / f"{number:02d}_{stem}.jpg", canvas))
+        files.append(write_picture(Path(folder) / f"{number:02d}_{stem}.jpg", canvas.image))
     if result is None:
         return files
     used = [
         (view.pixels_xy, pose.residuals_xy) for view, pose, use in views.values() if use and pose
     ]
     coverage = draw_coverage(detections.size, used, times)
-    return [*files, write_annotated(Path(folder) / "coverage.jpg", coverage)]
+    return [*files, write_picture(Path(folder) / "coverage.jpg", coverage.image)]
 
 
 def draw_placement(
@@ -237,4 +228,4 @@ def draw_placement(
         canvas.residuals(pixels_xy[which], placement.residuals_xy[which], longer)
     if board is None or np.abs(board[1] - np.eye(4)).max() > 1e-6:
         canvas.axes(placement.T_cam_world, lens, _WORLD_AXES_M, "world")
-    return [write_annotated(Path(folder) / f"{picture.path.stem}_placed.jpg", canvas)]
+    return [write_picture(Path(folder) / f"{picture.path.stem}_placed.jpg", canvas.image)]

@@ -61,14 +61,14 @@ class _Pair(NamedTuple):
     distances: np.ndarray
 
     @property
-    def found(self) -> float:
+    def apart(self) -> float:
         """How far they are apart in the median, or at most but for the odd sample, metres."""
         return float(np.nanpercentile(self.distances, 50.0 if self.is_rigid else FARTHEST))
 
     @property
     def excess(self) -> float:
         """By which share of the body's that is too much, or too little; 0 where it may be right."""
-        over, share = self.found - self.reach, BONE_SHARE if self.is_rigid else REACH_SHARE
+        over, share = self.apart - self.reach, BONE_SHARE if self.is_rigid else REACH_SHARE
         amount = abs(over) if self.is_rigid else over
         return over / self.reach if amount > share * self.reach + OFF_M else 0.0
 
@@ -89,7 +89,7 @@ def check_lengths(recording: Recording) -> Iterator[Finding]:
         off = f"{'short' if pair.excess > 0 else 'long'} by {100 * abs(pair.excess):.0f} %"
         yield Finding(
             "lengths",
-            f"[subject]: {' and '.join(pair.names)} are {up_to}{pair.found:.2f} m apart, by this "
+            f"[subject]: {' and '.join(pair.names)} are {up_to}{pair.apart:.2f} m apart, by this "
             f"body {most}{pair.reach:.2f} m: {bone_list(pair.bones)} {is_are} too "
             f"{off}; {MEASURE}",
         )
@@ -123,10 +123,10 @@ def check_stretched_arms(recording: Recording, measured: Sequence[str]) -> Itera
     for pair in _pairs(recording):
         sides = {bone[-2:] for bone in pair.bones if bone in arms}
         if set(pair.names) <= set(hands) and sides == {"_l", "_r"}:
-            if pair.found >= STRETCHED_SHARE * pair.reach:
+            if pair.apart >= STRETCHED_SHARE * pair.reach:
                 yield Finding(
                     "arms",
-                    f"[subject]: {' and '.join(pair.names)} are up to {pair.found:.2f} m apart, "
+                    f"[subject]: {' and '.join(pair.names)} are up to {pair.apart:.2f} m apart, "
                     "both arms being stretched: this recording determines their lengths better "
                     f"than the height does; `jaxmocap scale --recording {recording.path.name} --out"
                     " measured.toml` finds them",

@@ -144,7 +144,7 @@ class SampleAssembler:
         silent = now - self._last_arrivals > SENT_WITHIN_S
         return [] if silent.all() else [self._names[i] for i in np.flatnonzero(silent)]
 
-    def frozen(self) -> list[str]:
+    def frozen_markers(self) -> list[str]:
         """Markers that come in and repeat their last place, as those that a device has lost."""
         return [self._names[i] for i in np.flatnonzero(self._is_frozen)]
 

@@ -50,7 +50,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     from jaxmocap.calibration.board.boards import parse_board
-    from jaxmocap.calibration.calibration_report import extrinsics_figures, extrinsics_text
     from jaxmocap.calibration.place_camera import PlacementTarget, place_camera
     from jaxmocap.formats.files.errors import InputError, comma_list
 
@@ -67,4 +66,4 @@ def run(options: argparse.Namespace) -> None:
     target = PlacementTarget(board, options.pose, options.origin, options.points, options.up)
     files = options.out, options.intrinsics, options.pictures
     calibrated = place_camera(options.image, target, options.camera, *files, options.upside_down)
-    report(options, extrinsics_text(calibrated), extrinsics_figures(calibrated))
+    report(options, calibrated.text(), calibrated.figures())

@@ -36,7 +36,6 @@ def run(options: argparse.Namespace) -> None:
     from jaxmocap.calibration.board.boards import parse_board
     from jaxmocap.calibration.board.opencv_lenses import LensKind
     from jaxmocap.calibration.calibrate import calibrate_camera
-    from jaxmocap.calibration.calibration_report import intrinsics_figures, intrinsics_text
 
     board = parse_board(options.board, options.square, options.charuco)
     calibrated = calibrate_camera(
@@ -47,4 +46,4 @@ def run(options: argparse.Namespace) -> None:
         LensKind(options.distortions, options.fisheye),
         options.pictures,
     )
-    report(options, intrinsics_text(calibrated), intrinsics_figures(calibrated))
+    report(options, calibrated.text(), calibrated.figures())

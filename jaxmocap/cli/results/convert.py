@@ -5,6 +5,7 @@ cannot hold.
 """
 
 import argparse
+from dataclasses import fields
 from pathlib import Path
 
 from jaxmocap.cli.command import picture_size, positive_number, report
@@ -78,16 +79,7 @@ def run(options: argparse.Namespace) -> None:
 
     body = [] if options.body is None else [options.body]
     check_target(options.target, [options.source, *body])
-    conversion = ConversionOptions(
-        options.names,
-        options.unit,
-        options.rate,
-        options.body,
-        options.angles,
-        up=options.up,
-        source_up=options.source_up,
-        size=options.size,
-    )
-    warnings = convert_file(options.source, options.target, conversion)
+    stated = {each.name: getattr(options, each.name) for each in fields(ConversionOptions)}
+    warnings = convert_file(options.source, options.target, ConversionOptions(**stated))
     text = "\n".join([*warnings, f"written  {options.target}"])
     report(options, text, {"files": [options.target], "warnings": warnings})

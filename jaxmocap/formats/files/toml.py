@@ -211,15 +211,16 @@ class TomlTable:
         default: float | None = None,
         low: float = -LARGEST_NUMBER,
         high: float = LARGEST_NUMBER,
+        kind: str = "a number",
     ) -> float:
-        """A number from ``low`` to ``high``; required where there is no default."""
+        """A number, of a ``kind``, from ``low`` to ``high``; required where there is no default."""
         value = self.require(key) if default is None else self.entries.get(key, default)
         # A whole number may be too large to be a float.
         is_number = isinstance(value, (int, float)) and abs(value) <= sys.float_info.max
         if isinstance(value, bool) or not is_number:
             raise self.error(key, f"found {short_repr(value)}, expected a number")
         if not low <= value <= high:
-            expected = f"expected a number from {low:g} to {high:g}"
+            expected = f"expected {kind} from {low:g} to {high:g}"
             raise self.error(key, f"found {short_repr(value)}, {expected}")
         return float(value)
 

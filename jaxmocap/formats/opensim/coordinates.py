@@ -156,7 +156,7 @@ def _limb_turns(
     along, beyond = R_near @ directions[0], R_far @ directions[1]
     hinge = R_near[..., 2] * (-1.0 if is_leg else 1.0)
     across = np.cross(along, beyond)
-    angle, normal = limb.bent(np.arctan2((across * hinge).sum(-1), (along * beyond).sum(-1)))
+    angle, normal = limb.bend_at(np.arctan2((across * hinge).sum(-1), (along * beyond).sum(-1)))
     ours, models = _frames(along, hinge), _frames(np.broadcast_to(limb.near, along.shape), normal)
     return ours @ models.swapaxes(-1, -2), angle
 

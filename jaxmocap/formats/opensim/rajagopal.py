@@ -85,7 +85,7 @@ class Limb(NamedTuple):
     bends: np.ndarray  # (K,) between the two segments' lines, radians, ascending; 0 is straight
     normals: np.ndarray  # (K, 3) unit axes about which the far segment is bent, in the near body
 
-    def bent(self, bends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def bend_at(self, bends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The coordinate (T,) and the axis (T, 3) at (T,) bends, radians."""
         normals = np.stack([np.interp(bends, self.bends, axis) for axis in self.normals.T], -1)
         return np.interp(bends, self.bends, self.angles), normals

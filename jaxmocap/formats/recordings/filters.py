@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 from jaxmocap.formats.files.toml import TomlTable
 
-# Hz and seconds that filters may be given.
-SMALLEST_VALUE = 1e-6
-LARGEST_VALUE = 1e6
+# Hz and seconds that filters may have.
+VALUES = (1e-6, 1e6, "a positive number")
 FILTER_KEYS = ("hampel", "gaps", "butterworth", "one_euro")
 
 
@@ -42,25 +41,16 @@ class Filters:
 
 def read_filters(fields: TomlTable) -> Filters:
     """Filters of the table; InputError for a field of another kind, or not above 0."""
-    return Filters(
-        hampel=fields.flag("hampel"),
-        gaps=_positive(fields, "gaps") if "gaps" in fields else 0.0,
-        butterworth=_positive(fields, "butterworth") if "butterworth" in fields else None,
-        one_euro=_one_euro(fields) if "one_euro" in fields else None,
-    )
-
-
-def _positive(fields: TomlTable, key: str, default: float | None = None) -> float:
-    if (value := fields.number(key, default)) <= 0:
-        raise fields.error(key, f"found {value:g}, expected a positive number")
-    return fields.number(key, default, SMALLEST_VALUE, LARGEST_VALUE)
+    named = [key for key in ("gaps", "butterworth") if key in fields]
+    stated = {key: fields.number(key, None, *VALUES) for key in named}
+    return Filters(hampel=fields.flag("hampel"), one_euro=_one_euro(fields), **stated)
 
 
 def _one_euro(fields: TomlTable) -> OneEuroSettings | None:
-    value, default = fields.require("one_euro"), OneEuroSettings()
+    value, default = fields.entries.get("one_euro", False), OneEuroSettings()
     if isinstance(value, bool):
         return default if value else None
     table = TomlTable(fields.path, f"{fields.where} one_euro", value, ("cutoff", "beta"))
     return OneEuroSettings(
-        _positive(table, "cutoff", default.cutoff), _positive(table, "beta", default.beta)
+        table.number("cutoff", default.cutoff, *VALUES), table.number("beta", default.beta, *VALUES)
     )

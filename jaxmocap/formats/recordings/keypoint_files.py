@@ -19,13 +19,12 @@ import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from jaxmocap.formats.files.arrays import float_array
 from jaxmocap.formats.files.errors import InputError, short_repr
-from jaxmocap.formats.files.json_text import parse_json
+from jaxmocap.formats.files.json_text import JsonPart, parse_json
 from jaxmocap.formats.files.reading import read_bytes
 
 # The last number in a file's name is its frame's: cam_01_000000000123_keypoints.json.
@@ -86,31 +85,31 @@ def read_keypoint_frames(file: Path) -> Iterator[KeypointFrame]:
     if (numbers := text.count(b",")) > MAX_FILE_NUMBERS:
         problem = f"found {numbers} numbers, expected at most {MAX_FILE_NUMBERS} in one file"
         raise InputError(file, problem)
-    content = parse_json(file, text, MAX_FILE_BYTES, True, MAX_FILE_PARTS)
-    if isinstance(content, dict) and "people" in content:
-        yield KeypointFrame(_number_in_name(file), _people(file, content["people"]), None, file)
+    document = JsonPart(file, "", parse_json(file, text, MAX_FILE_BYTES, True, MAX_FILE_PARTS))
+    if document.has("people"):
+        yield KeypointFrame(_number_in_name(file), _people(document["people"]), None, file)
         return
-    names, where = None, ""
-    if isinstance(content, dict) and "instance_info" in content:
+    names = None
+    if document.has("instance_info"):
         # The points' names in MMPose's description of its model, where there is one.
-        by_id = _entry(content.get("meta_info"), "keypoint_id2name")
+        about = document["meta_info"]
+        by_id = about["keypoint_id2name"].value if about.has("keypoint_id2name") else None
         if isinstance(by_id, dict) and by_id:
             names = tuple(str(by_id.get(str(i), "")) for i in range(len(by_id)))
-        content, where = content["instance_info"], "instance_info"
-    if not isinstance(content, list):
+        document = document["instance_info"]
+    if not isinstance(document.value, list):
         expected = "'people' (OpenPose), 'instance_info' or a list (MMPose)"
         raise InputError(file, f"found no key points, expected {expected}")
-    if not any(_entry(entry, "instances") is not None for entry in content):
-        yield KeypointFrame(_number_in_name(file), _instances(file, where, content), names, file)
+    if not any(entry.has("instances") for entry in document.parts()):
+        yield KeypointFrame(_number_in_name(file), _instances(document), names, file)
         return
-    for i, entry in enumerate(content):
-        number, at = _entry(entry, "frame_id"), f"{where}[{i}]"
+    for entry in document.parts():
+        number = entry["frame_id"].value
         is_integer = isinstance(number, int) and not isinstance(number, bool)
         if not is_integer or abs(number) > LARGEST_FRAME_NUMBER:
             expected = f"expected a whole number within {LARGEST_FRAME_NUMBER}"
-            raise InputError(file, f"{at}.frame_id: found {short_repr(number)}, {expected}")
-        people = _instances(file, f"{at}.instances", _entry(entry, "instances"))
-        yield KeypointFrame(number, people, names, file)
+            raise entry["frame_id"].error(f"found {short_repr(number)}, {expected}")
+        yield KeypointFrame(number, _instances(entry["instances"]), names, file)
 
 
 def _number_in_name(file: Path) -> int:
@@ -120,48 +119,44 @@ def _number_in_name(file: Path) -> int:
     return int(match[0])
 
 
-def _people(file: Path, people: Any) -> list[np.ndarray]:
+def _people(people: JsonPart) -> list[np.ndarray]:
     """(K, 3) of each of OpenPose's people; whoever has but a face or hands is left out."""
     arrays = []
-    for i, person in enumerate(_list(file, "people", people)):
-        where = f"people[{i}].pose_keypoints_2d"
-        array = _array(file, where, _entry(person, "pose_keypoints_2d"))
+    for person in people.parts():
+        points = person["pose_keypoints_2d"]
+        array = _array(points)
         if array.size % 3:
-            raise InputError(file, f"{where}: found {array.size} numbers, expected x, y, c of each")
+            raise points.error(f"found {array.size} numbers, expected x, y, c of each")
         if array.size:
             arrays.append(_with_missing_as_nan(array.reshape(-1, 3)))
     return arrays
 
 
-def _instances(file: Path, where: str, instances: Any) -> list[np.ndarray]:
+def _instances(instances: JsonPart) -> list[np.ndarray]:
     """(K, 3) of each of MMPose's instances, or (K, 6) with its joints."""
     arrays = []
-    for i, instance in enumerate(_list(file, where, instances)):
-        at = f"{where}[{i}]"
-        points = _array(file, f"{at}.keypoints", _entry(instance, "keypoints"))
-        scores = _entry(instance, "keypoint_scores")
-        if scores is not None:
-            scores = _array(file, f"{at}.keypoint_scores", scores)
+    for instance in instances.parts():
+        pixels, confidences = instance["keypoints"], instance["keypoint_scores"]
+        points = _array(pixels)
+        scores = None if confidences.value is None else _array(confidences)
         if scores is not None and points.shape[1:] == (2,):
             if scores.shape != points.shape[:1]:
                 problem = f"found shape {scores.shape}, expected one score for each key point"
-                raise InputError(file, f"{at}.keypoint_scores: {problem} ({len(points)})")
+                raise confidences.error(f"{problem} ({len(points)})")
             points = np.column_stack([points, scores])
         if points.shape[1:] != (3,):
             expected = "[x, y] of each with 'keypoint_scores', or [x, y, score]"
-            problem = f"{at}.keypoints: found shape {points.shape}, expected {expected}"
-            raise InputError(file, problem)
+            raise pixels.error(f"found shape {points.shape}, expected {expected}")
         if scores is not None and not np.array_equal(points[:, 2], scores, equal_nan=True):
             # MMPose's joints in space, which are no pixels.
-            problem = "found [x, y, z] with 'keypoint_scores', expected [x, y] in pixels"
-            raise InputError(file, f"{at}.keypoints: {problem}")
+            found = "found [x, y, z] with 'keypoint_scores'"
+            raise pixels.error(f"{found}, expected [x, y] in pixels")
         points = _with_missing_as_nan(points)
-        joints = _entry(instance, "keypoints_3d")
-        if joints is not None:
-            joints = _array(file, f"{at}.keypoints_3d", joints, LARGEST_METRES, "metres")
+        if (places := instance["keypoints_3d"]).value is not None:
+            joints = _array(places, LARGEST_METRES, "metres")
             if joints.shape != points.shape:
                 problem = f"found shape {joints.shape}, expected [x, y, z] of each key point"
-                raise InputError(file, f"{at}.keypoints_3d: {problem} ({len(points)})")
+                raise places.error(f"{problem} ({len(points)})")
             points = np.column_stack([points, joints])
         arrays.append(points)
     return arrays
@@ -173,26 +168,13 @@ def _with_missing_as_nan(points: np.ndarray) -> np.ndarray:
     return np.minimum(np.where(is_detected, points, [np.nan, np.nan, 0.0]), [np.inf, np.inf, 1.0])
 
 
-def _entry(entry: Any, key: str) -> Any:
-    return entry.get(key) if isinstance(entry, dict) else None
-
-
-def _list(file: Path, where: str, value: Any) -> list:
-    if not isinstance(value, list):
-        raise InputError(file, f"{where}: found {short_repr(value)}, expected a list".lstrip(": "))
-    return value
-
-
-def _array(
-    file: Path, where: str, values: Any, limit: float = LARGEST_PIXEL, unit: str = "pixels"
-) -> np.ndarray:
-    values = _list(file, where, values)
+def _array(part: JsonPart, limit: float = LARGEST_PIXEL, unit: str = "pixels") -> np.ndarray:
+    values = part.items()
     try:
         # A null becomes NaN, which is what it means.
         array = float_array(values)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(file, f"{where}: found other than equally long lists of numbers") from None
+        raise part.error("found other than equally long lists of numbers") from None
     if (largest := np.abs(array[np.isfinite(array)]).max(initial=0.0)) > limit:
-        problem = f"found {largest:g}, expected {unit} within {limit:g}"
-        raise InputError(file, f"{where}: {problem}")
+        raise part.error(f"found {largest:g}, expected {unit} within {limit:g}")
     return array

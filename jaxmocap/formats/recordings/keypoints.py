@@ -78,12 +78,12 @@ class Detections:
         """With left taken for right in some frames, (F,) bool."""
         sides = other_side(self.landmarks)
 
-        def swapped(part: np.ndarray, _: float) -> np.ndarray:
+        def swap(part: np.ndarray, _: float) -> np.ndarray:
             part = part.copy()
             part[frames] = part[frames][:, :, sides]
             return part
 
-        return self._take(self.numbers, swapped)
+        return self._take(self.numbers, swap)
 
     def _take(
         self, numbers: np.ndarray, take: Callable[[np.ndarray, float], np.ndarray]

@@ -55,9 +55,7 @@ def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
     """Where one marker of [markers.on] sits."""
     keys = ("bone", "at", "offset", "offset_in", "turn", "lever")
     fields = TomlTable(path, f"[markers.on] {name}", entry, keys)
-    at = fields.number("at", 1.0)
-    if not 0.0 <= at <= 1.0:
-        raise fields.error("at", f"found {at:g}, expected a fraction between 0 and 1")
+    at = fields.number("at", 1.0, 0.0, 1.0, "a fraction")
     bone = fields.text("bone")
     stated: dict[str, Any] = {}
     if "offset" in fields:

@@ -120,11 +120,9 @@ def _with_bones(skeleton: Skeleton, bones: TomlTable) -> Skeleton:
 def _bone_value(fields: TomlTable, key: str) -> np.ndarray | float:
     """What a table says of one bone."""
     if key in ("length", "mass"):
-        low, high = LENGTH_RANGE_M if key == "length" else MASS_RANGE_KG
-        unit = "metres" if key == "length" else "kilograms"
-        if not low <= (value := fields.number(key)) <= high:
-            raise fields.error(key, f"found {value:g}, expected {unit} from {low:g} to {high:g}")
-        return value
+        is_length = key == "length"
+        low, high = LENGTH_RANGE_M if is_length else MASS_RANGE_KG
+        return fields.number(key, None, low, high, "metres" if is_length else "kilograms")
     if key == "diameter":
         ends = fields.array(key, [(2,)], "metres at the near and the far end", LENGTH_RANGE_M[1])
         if not (ends > 0).all():

@@ -14,6 +14,8 @@ import json
 import os
 import struct
 import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -96,7 +98,8 @@ def read_c3d(path: str | Path) -> Markers:
     positions[~np.isfinite(positions).all(-1)] = np.nan
     times = (file.first + np.arange(count)) / file.rate
     table = np.concatenate([times[:, None], positions.reshape(count, -1)], 1)
-    return make_markers(path, table, [], _labels(file.labels), "POINT:LABELS")
+    markers = make_markers(path, table, [], _labels(file.labels), "POINT:LABELS")
+    return replace(markers, left_out=tuple(_left_out(file)))
 
 
 def _read(path: str | Path) -> _Content:
@@ -120,22 +123,19 @@ def _read(path: str | Path) -> _Content:
     return _Content(np.frombuffer(values, float).reshape(3, *head.pop("shape")), **head)
 
 
-def unconverted_content(path: str | Path) -> list[str]:
-    """What a file that can be read holds besides its points, in words."""
-    file, left = _read(path), []
+def _left_out(file: _Content) -> Iterator[str]:
+    """What a file holds besides its points, in words."""
     if file.analog_channels:
-        left.append(f"{file.analog_channels} analog channels")
+        yield f"{file.analog_channels} analog channels"
     if file.events:
-        left.append("events")
+        yield "events"
     if file.has_residuals:
-        left.append("the points' residuals")
+        yield "the points' residuals"
     if file.others:
         names = comma_list(map(short_name, file.others[:MOST_NAMED]))
-        left.append(f"{len(file.others)} angles, forces and the like, which are no points: {names}")
+        yield f"{len(file.others)} angles, forces and the like, which are no points: {names}"
     if file.labels != _labels(file.labels):
-        prefix = short_name(file.labels[0].rpartition(":")[0])
-        left.append(f"the labels' prefix {prefix}:")
-    return left
+        yield f"the labels' prefix {short_name(file.labels[0].rpartition(':')[0])}:"
 
 
 def _declared_frames(path: str | Path) -> int:

@@ -57,6 +57,7 @@ class Markers:
     # Marker -> how many positions the file has at exactly (0, 0, 0), which some writers have for
     # missing ones; without markers that have none.
     at_zero: Mapping[str, int] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()  # what the file holds besides, in words
 
     def points(self) -> dict[str, np.ndarray]:
         """Name -> (T, 3) positions."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoint_models import MODELS
-from jaxmocap.images.crops import crop_image
+from jaxmocap.images.regions import crop_image
 from jaxmocap.pipelines.keypoints.detect import Detector
 
 # What these networks are trained with: RGB, 0 to 255.

@@ -199,7 +199,7 @@ def stream_states(
     """The state of every stream at a time, seconds."""
     yield "markers", _markers_state(markers)
     yield "missing", comma_list(gathering.missing(now)) or NOTHING
-    frozen = comma_list(gathering.frozen())
+    frozen = comma_list(gathering.frozen_markers())
     frozen = frozen and f"{frozen}; repeats the last place, which is not used"
     yield "frozen", frozen or NOTHING
     yield from _orientation_states(gathering, places)
