@@ -25,8 +25,8 @@ import numpy as np
 
 # As pytest has it, for the command line that a case names.
 sys.path.append(str(Path(__file__).parents[1] / "subjects"))
-from hostile_bytes import BYTES, MOST, recoded
-from hostile_kinds import ARGUMENTS, BY_KIND, KINDS, MORE_COMMANDS, MUTATIONS, Kind
+from hostile_kinds import ARGUMENTS, BY_KIND, KINDS, MORE_COMMANDS, Kind
+from hostile_mutations import BYTES, MOST, MUTATIONS, recoded
 from hostile_pool import Answer, Pool
 from hostile_values import ODD, brief, hostile_number, hostile_text
 from hostile_verdicts import Snapshot, faults
@@ -155,16 +155,24 @@ def change_file(rng: np.random.Generator, case: Case, kind: Kind) -> None:
     for _ in range(int(rng.choice([1, 1, 1, 2]))):
         some = BYTES if not own or rng.random() < ANY_FILE else own
         mutate = some[rng.integers(len(some))]
+        before = content
         try:
-            content, done = mutate(rng, content)
+            content = mutate(rng, content)
         except Exception:
             # What was hostile already cannot be taken apart any more.
-            content, done = recoded(rng, content)
-        case.done.append(f"{name}: {done}")
+            mutate, content = recoded, recoded(rng, content)
+        case.done.append(f"{name}: {mutate.__name__}, {first_difference(before, content)}")
         # A bomb is not to be taken apart here.
         if len(content) > MOST:
             break
     path.write_bytes(content)
+
+
+def first_difference(before: bytes, after: bytes) -> str:
+    """Where a content differs from another first, in a few words."""
+    differs = (i for i, (a, b) in enumerate(zip(before, after, strict=False)) if a != b)
+    at = next(differs, min(len(before), len(after)))
+    return f"{brief(before[at : at + 20])} = {brief(after[at : at + 20])} from byte {at} on"
 
 
 def change_arguments(rng: np.random.Generator, arguments: list[str]) -> str:
