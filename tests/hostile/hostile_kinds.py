@@ -13,24 +13,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of input.
-
-    Attributes:
-        name: of it.
-        files: that become hostile, one of them in each case: one that the command line names, if
-            it names any of them.
-        commands: that read it, cheap ones.
-        costly: that read it too, for whoever has the time.
-        ends: exit code of the commands with the unchanged files.
-        also: other files or folders that the commands need.
-    """
+    """A kind of input."""
 
     name: str
+    # That become hostile, one in each case: one that the command line names, if it names any.
     files: tuple[str, ...]
-    commands: tuple[str, ...]
-    costly: tuple[str, ...] = ()
-    ends: int = 0
-    also: tuple[str, ...] = ()
+    commands: tuple[str, ...]  # that read it, cheap ones
+    costly: tuple[str, ...] = ()  # that read it too, for whoever has the time
+    ends: int = 0  # exit code of the commands with the unchanged files
+    also: tuple[str, ...] = ()  # other files or folders that the commands need
 
 
 RECORDING = ("recording.toml", "markers.trc", "cam.mp4", "calibration.toml")
