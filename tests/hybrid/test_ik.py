@@ -123,6 +123,9 @@ def test_a_step_is_the_references_in_double_precision(skeleton64, pose, seed, si
         ours = step(skeleton64, chosen, on_device(pose), *arguments)
         theirs = reference_step(skeleton64, chosen, pose, targets, weights, free)
     compared(ours, theirs, 1e-9)
+    # What may not move does not move at all.
+    np.testing.assert_array_equal(ours[0].position[~free[:3]], pose.position[~free[:3]])
+    np.testing.assert_array_equal(ours[0].angles[~free[6:]], pose.angles[~free[6:]])
 
 
 @given(pose=poses(), seed=st.integers(0, 2**20))
