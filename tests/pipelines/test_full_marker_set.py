@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from turning_head import write_turning_head
+from held_devices import write_turning_head
 
 from jaxmocap import Recording, Settings
 from jaxmocap.body.kinematics import forward, landmarks, site_positions
