@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import double
 
-from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, landmark_rows
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, landmark_rows, load_skeleton
 from jaxmocap.body.tree import ROOT_DOF
 
 # Table 1 as printed: length in millimetres, mass in grams, degrees of freedom.
@@ -56,7 +56,9 @@ def test_the_body_weighs_80_kilograms_and_670_grams(skeleton64):
     assert sum(mass for _, (_, mass, _) in rows()) == 80670
 
 
-def test_the_sides_mirror_each_other(skeleton):
+@pytest.mark.parametrize("model", ["human", "torso", "legs", "whole", "supple"])
+def test_the_sides_mirror_each_other(model):
+    skeleton = load_skeleton(f"{model}.toml")
     names, mirror = skeleton.tree.bones, np.array([1, -1, 1])
     for i, name in enumerate(names):
         if name.endswith("_l"):

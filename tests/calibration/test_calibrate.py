@@ -7,14 +7,28 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from drawn_boards import BOARD, CHARUCO, LENS, SIZE, WALL, draw, held, pixels_of, views, write_views
+from conftest import read_calibration
+from drawn_boards import (
+    BOARD,
+    CHARUCO,
+    FISHEYE_LENS,
+    LENS,
+    SIZE,
+    WALL,
+    draw,
+    held,
+    pixels_of,
+    views,
+    write_views,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.board.corners import find_corners
-from jaxmocap.calibration.board.opencv_lenses import LensKind
+from jaxmocap.calibration.board.opencv_lenses import LensKind, candidate_poses, project_points
 from jaxmocap.calibration.calibrate import calibrate_camera
+from jaxmocap.calibration.extrinsics import board_to_world
 from jaxmocap.calibration.intrinsics import (
     BoardView,
     estimate_intrinsics,
@@ -23,6 +37,7 @@ from jaxmocap.calibration.intrinsics import (
 )
 from jaxmocap.cli.program import main
 from jaxmocap.formats.cameras.calibration import Intrinsics, read_intrinsics
+from jaxmocap.geometry.lenses import FISHEYE
 
 PARAMETERS = LensKind().parameters
 BOARD_OPTIONS = ["--board", "4x7", "--square", "0.06", "--camera", "cam"]
@@ -57,23 +72,28 @@ def photographs(tmp_path_factory):
     return write_views(tmp_path_factory.mktemp("photographs"))
 
 
+def calibrate_in(folder, photographs, *more: str) -> dict:
+    """Figures of the command, which writes all that it can into a folder."""
+    written = ["--out", str(folder / "c.toml"), "--pictures", str(folder / "drawn")]
+    figures = folder / "figures.json"
+    given = [*photographs, *BOARD_OPTIONS, *more, *written, "--json", str(figures)]
+    assert main(["calibrate", "intrinsics", *given]) == 0
+    return json.loads(figures.read_text())
+
+
 @pytest.fixture(scope="module")
 def calibrated(photographs, tmp_path_factory):
     """Folder in which the command has written all that it can, and its figures."""
     folder = tmp_path_factory.mktemp("calibrated")
     (folder / "c.toml").write_text(OTHER)
-    written = ["--out", str(folder / "c.toml"), "--pictures", str(folder / "drawn")]
-    figures = folder / "figures.json"
-    given = [*photographs, *BOARD_OPTIONS, *written, "--json", str(figures)]
-    assert main(["calibrate", "intrinsics", *given]) == 0
-    return folder, json.loads(figures.read_text())
+    return folder, calibrate_in(folder, photographs)
 
 
-def noisy_views(noise: float = 0.1) -> list[BoardView]:
-    placed = enumerate(views())
+def noisy_views(noise: float = 0.1, seed: int = 0, fisheye: bool = False) -> list[BoardView]:
+    points, lens = BOARD.points_board, FISHEYE_LENS if fisheye else LENS
     return [
-        BoardView(f"view {i}", BOARD.points_board, pixels_of(BOARD.points_board, T, noise, i))
-        for i, T in placed
+        BoardView(f"view {i}", points, pixels_of(points, T, noise, seed + i, lens))
+        for i, T in enumerate(views(fisheye=fisheye))
     ]
 
 
@@ -451,3 +471,89 @@ def test_real_photographs_agree_with_the_optical_systems_calibration(
     assert "cx by +2" in message and "differ systematically" in message
     assert "determine the principal point poorly" in message
     assert tomllib.loads(out.read_text())["cam_03"] == tomllib.loads(given.read_text())["cam_03"]
+
+
+# A fisheye ----------------------------------------------------------------------------------------
+
+
+FISHEYE_TRUTH = np.array([310.0, 308, 325, 236, *FISHEYE_LENS.distortions])
+FISHEYE_KIND = LensKind(4, fisheye=True)
+
+
+@pytest.fixture(scope="module")
+def fisheye(tmp_path_factory):
+    """The same of a fisheye."""
+    folder = tmp_path_factory.mktemp("fisheye")
+    return folder, calibrate_in(folder, write_views(folder, fisheye=True), "--fisheye")
+
+
+def test_a_fisheye_is_recovered_within_its_deviations(fisheye):
+    folder, figures = fisheye
+    actual = figures["parameters"]
+    assert list(actual) == ["fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"]
+    values = np.array([figure["value"] for figure in actual.values()])
+    deviations = [max(each["std"], each["jackknife_std"]) for each in actual.values()]
+    assert np.abs(values[:4] - FISHEYE_TRUTH[:4]).max() < 1.5
+    assert (np.abs(values - FISHEYE_TRUTH) < 4 * np.array(deviations)).all()
+    assert figures["used"] == 9 and figures["rms_px"] < 0.25
+    lens = read_intrinsics(folder / "c.toml", "cam")
+    assert lens.fisheye and len(lens.distortions) == 4
+
+
+def test_a_fisheyes_deviations_are_what_repeated_calibrations_scatter_by():
+    actual = [
+        estimate_intrinsics(noisy_views(0.1, 100 * seed, True), SIZE, FISHEYE_KIND)
+        for seed in range(6)
+    ]
+    scatter = np.std([each.values for each in actual], axis=0, ddof=1)
+    stated = np.mean([each.std for each in actual], axis=0)
+    assert (scatter / stated > 0.3).all() and (scatter / stated < 2.5).all()
+
+
+def test_fewer_coefficients_leave_the_others_at_zero():
+    actual = estimate_intrinsics(noisy_views(0.05, fisheye=True), SIZE, LensKind(2, fisheye=True))
+    assert (actual.values[6:] == 0).all() and (actual.std[6:] == 0).all()
+    assert (actual.std[:6] > 0).all()
+
+
+def test_the_camera_is_placed_through_its_fisheye(fisheye, tmp_path):
+    folder, _ = fisheye
+    T_cam_board = views(fisheye=True)[4]
+    pose = (0.4, -0.2, 0.0, 0.0, 0.0, 90.0)
+    T_cam_world = T_cam_board @ np.linalg.inv(board_to_world(pose))
+    cv2.imwrite(str(tmp_path / "floor.png"), draw(BOARD, T_cam_board, fisheye=True))
+    out = tmp_path / "c.toml"
+    out.write_text((folder / "c.toml").read_text())
+    given = [str(tmp_path / "floor.png"), *BOARD_OPTIONS, "--out", str(out)]
+    pictures = ["--pictures", str(tmp_path / "drawn")]
+    at = ",".join(map(str, pose))
+    assert main(["calibrate", "extrinsics", *given, "--pose", at, *pictures]) == 0
+    camera = read_calibration(out)["cam"]
+    assert camera.lens == FISHEYE
+    expected = -T_cam_world[:3, :3].T @ T_cam_world[:3, 3]
+    assert np.linalg.norm(np.asarray(camera.position_world) - expected) < 0.01
+
+
+def test_a_poses_jacobian_is_the_derivative_of_its_pixels():
+    (view, *_), (T, *_) = noisy_views(0.0, fisheye=True), views(fisheye=True)
+    rvec = cv2.Rodrigues(T[:3, :3])[0].ravel()
+    at = np.concatenate([rvec, T[:3, 3]])
+    _, J = project_points(view.points_board, at[:3], at[3:], FISHEYE_LENS)
+    for i, step in enumerate(1e-6 * np.eye(6)):
+        ahead, behind = (
+            project_points(view.points_board, pose[:3], pose[3:], FISHEYE_LENS)[0]
+            for pose in (at + step, at - step)
+        )
+        np.testing.assert_allclose(J[:, i], (ahead - behind).ravel() / 2e-6, rtol=1e-4, atol=1e-3)
+
+
+def test_both_poses_of_a_board_before_a_fisheye_explain_its_picture():
+    for view, T in zip(noisy_views(0.0, fisheye=True), views(fisheye=True), strict=True):
+        best, *_ = candidate_poses(view.points_board, view.pixels_xy, FISHEYE_LENS)
+        np.testing.assert_allclose(best.matrix, T, atol=1e-5)
+
+
+def test_a_fisheye_has_no_fifth_coefficient(tmp_path, refusal):
+    given = ["calibrate", "intrinsics", "board.jpg", *BOARD_OPTIONS, "--fisheye"]
+    message = refusal(*given, "--distortions", 5, "--out", tmp_path / "c.toml")
+    assert "found 5, expected at most 4 of a fisheye" in message

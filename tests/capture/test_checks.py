@@ -143,13 +143,10 @@ def test_noise_of_a_metre_is_no_unit(sound):
     assert finding.fatal and "no unit explains that" in finding.sentence
 
 
-def test_a_static_trial_in_millimetres_is_refused(sound):
+def test_a_body_or_a_calibration_in_millimetres_is_refused(sound):
     giant = replace(sound.skeleton, lengths=sound.skeleton.lengths * 1000)
     finding = check_recording(replace(sound, skeleton=giant), VIDEO_TIMES)[0]
     assert finding.fatal and "[subject]: the person is 17" in finding.sentence
-
-
-def test_a_calibration_in_millimetres_is_refused(sound):
     camera = sound.videos[0].camera
     T = camera.T_cam_world.at[:3, 3].multiply(1000)
     (finding,) = check_recording(projected_in(sound, replace(camera, T_cam_world=T)), VIDEO_TIMES)

@@ -161,8 +161,7 @@ def test_people_who_disagree_do_not_tell_a_model():
 
 
 @pytest.mark.parametrize(
-    ("times_larger", "model"),
-    [(3.0, "BODY_25B"), (1.5, None), (1 / 1.5, None), (1 / 3, "BODY_25")],
+    ("times_larger", "model"), [(3.0, "BODY_25B"), (1.5, None), (1 / 1.5, None), (1 / 3, "BODY_25")]
 )
 def test_a_face_must_be_clearly_smaller_to_tell_the_model(times_larger, model):
     person = points("BODY_25B")[None, :, :2]
@@ -299,9 +298,10 @@ def test_names_in_the_file_come_before_the_count(tmp_path):
 COMPLETE = points("COCO_17")
 
 
-def by_names(names: dict[str, str], person: np.ndarray) -> dict:
-    """As MMPose writes a file that names its points."""
-    return {"meta_info": {"keypoint_id2name": names}, "instance_info": [instance(person)]}
+def by_name(name: str, person: np.ndarray) -> dict:
+    """As MMPose writes a file that names its points, or the first of them."""
+    meta = {"keypoint_id2name": {"0": name}}
+    return {"0.json": {"meta_info": meta, "instance_info": [instance(person)]}}
 
 
 @pytest.mark.parametrize(
@@ -334,14 +334,8 @@ def by_names(names: dict[str, str], person: np.ndarray) -> dict:
         ({"0.json": [{"keypoints": [], "keypoint_scores": []}]}, "[0].keypoints: found shape (0,)"),
         ({"0.json": [{"instances": []}]}, "[0].frame_id: found None, expected a whole"),
         ({"0.json": {"instance_info": [4]}}, "instance_info[0]: found 4, expected a JSON table"),
-        (
-            {"0.json": by_names({"0": "left_elbow"}, COMPLETE)},
-            "found 17 points, but meta_info names 1",
-        ),
-        (
-            {"0.json": by_names({"0": "tail"}, COMPLETE[:1])},
-            "none of the points tail is a landmark of ours",
-        ),
+        (by_name("left_elbow", COMPLETE), "found 17 points, but meta_info names 1"),
+        (by_name("tail", COMPLETE[:1]), "none of the points tail is a landmark of ours"),
     ],
 )
 def test_bad_files_are_refused_with_file_and_place(tmp_path, files, says):

@@ -370,7 +370,7 @@ def test_the_newest_win_and_no_backlog_grows():
     assert inbox.take(0.0) is None
 
 
-def test_frames_keep_their_turn_though_newer_ones_replace_them():
+def test_frames_wait_for_their_turn_and_newer_ones_replace_them():
     inbox = Inbox(max_samples=4)
     inbox.put_frame(frame_at(0.0))
     inbox.put_sample(sample_at(0.01))
@@ -378,14 +378,18 @@ def test_frames_keep_their_turn_though_newer_ones_replace_them():
     inbox.put_frame(frame_at(0.03, camera=1))
     assert [frame.time for frame in inbox.take(0.0)] == [0.02, 0.03]
     assert inbox.take(0.0).time == 0.01
-
-
-def test_for_smoothing_things_come_in_the_order_in_which_they_came_in():
     inbox = Inbox(max_samples=4, keep_turns=False)
     inbox.put_frame(frame_at(0.0))
     inbox.put_sample(sample_at(0.01))
     inbox.put_frame(frame_at(0.02))
     assert inbox.take(0.0).time == 0.01
+    assert [frame.time for frame in inbox.take(0.0)] == [0.02]
+    inbox = Inbox(max_samples=4)
+    inbox.put_frame(frame_at(0.0))
+    inbox.put_sample(sample_at(0.01))
+    assert inbox.take(0.0, with_frames=False).time == 0.01
+    inbox.put_frame(frame_at(0.02))
+    assert inbox.take(0.0, with_frames=False) is None
     assert [frame.time for frame in inbox.take(0.0)] == [0.02]
 
 
@@ -401,16 +405,6 @@ def test_for_smoothing_a_frame_gets_its_turn_however_many_samples_wait():
     frames = [each for each in taken if isinstance(each, list)]
     assert len(frames) > 8
     assert inbox.dropped_frames + len(frames) >= 39
-
-
-def test_frames_wait_and_are_replaced_while_they_are_not_asked_for():
-    inbox = Inbox(max_samples=4)
-    inbox.put_frame(frame_at(0.0))
-    inbox.put_sample(sample_at(0.01))
-    assert inbox.take(0.0, with_frames=False).time == 0.01
-    inbox.put_frame(frame_at(0.02))
-    assert inbox.take(0.0, with_frames=False) is None
-    assert [frame.time for frame in inbox.take(0.0)] == [0.02]
 
 
 # Sockets -----------------------------------------------------------------------------------------

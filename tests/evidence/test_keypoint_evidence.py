@@ -112,22 +112,12 @@ def cost(off: float, confidence: float = 1.0, along: float = 3.0) -> float:
     return float(np.sum(np.asarray(LINE_RESIDUALS(point, one_line(confidence), SIGMA)) ** 2))
 
 
-def test_a_landmark_on_its_line_costs_nothing_however_far():
-    assert cost(0.0) == cost(0.0, along=8.0) == 0.0
-
-
-@given(st.floats(0.0, 30.0), st.floats(0.05, 1.0))
-def test_a_landmark_off_its_line_costs_by_its_deviation_and_confidence(times, confidence):
+@given(st.floats(0.0, 30.0), st.floats(0.05, 1.0), st.floats(1.0, 8.0))
+def test_a_landmark_off_its_line_costs_by_its_deviation_and_confidence(times, confidence, along):
+    """Of long tails, and however far it is."""
     expected = TAILS * np.log1p((times * confidence) ** 2 / TAILS)
-    assert cost(times * SIGMA, confidence) == pytest.approx(expected, rel=1e-3, abs=1e-5)
-
-
-def test_a_point_far_off_hardly_pulls():
-    pull = jax.grad(
-        lambda y: jnp.sum(line_residuals(y * jnp.eye(3)[1:2], one_line(), jnp.asarray(SIGMA)) ** 2)
-    )
-    near, far = (float(pull(jnp.float32(y))) for y in (SIGMA, 30 * SIGMA))
-    assert 0 < far < 0.25 * near
+    assert cost(times * SIGMA, confidence, along) == pytest.approx(expected, rel=1e-3, abs=1e-5)
+    assert cost(0.0, along=along) == 0.0
 
 
 def test_a_landmark_costs_by_how_far_beyond_the_hips_it_is_against_the_detector():
@@ -219,18 +209,6 @@ def test_there_is_no_ray_where_a_lens_folds():
     names = ("neck", "elbow_l", "elbow_r", "wrist_l")
     found = lines_of_sight(folding, names, pixels, np.ones((1, 4)))
     assert (found.confidences[0, 0, landmark_rows(names)] == [1, 1, 0, 0]).all()
-
-
-def test_slopes_are_those_of_finite_differences():
-    pose, frame = a_frame()
-    count = 3 * len(LANDMARKS)
-    slopes = np.asarray(jax.jit(jax.jacfwd(moved))(STILL, pose, frame))[-count:]
-    h = 2e-3
-    for i in range(STILL.size):
-        step = np.eye(STILL.size, dtype=np.float32)[i] * h
-        rise = np.asarray(moved(step, pose, frame)) - np.asarray(moved(-step, pose, frame))
-        np.testing.assert_allclose(slopes[:, i], rise[-count:] / (2 * h), atol=0.05)
-    assert np.abs(slopes).max() > 5
 
 
 def test_a_frame_without_any_point_costs_what_it_does_without_lines():

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import measured_complaint, problem_of
-from hostile_archives import npy
+from hostile_mutations import npy
 from moving_body import SAMPLES, moving_body
 from rigged_people import rigged
 

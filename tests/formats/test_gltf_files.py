@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import measured_complaint, problem_of
-from hostile_archives import glb_of
+from hostile_mutations import glb_of
 
 from jaxmocap.formats.animation.gltf_in import read_gltf
 

@@ -10,74 +10,18 @@ frame (``ends`` is 2 then).
 
 from dataclasses import dataclass
 
-from hostile_archives import glb_changed, glb_nodes, npz_archive, npz_bomb, npz_changed
-from hostile_bytes import (
-    TEXT,
-    Mutation,
-    boxes_changed,
-    bvh_changed,
-    c3d_changed,
-    gap,
-    jpeg_changed,
-    json_changed,
-    json_deep,
-    png_bomb,
-    png_changed,
-    toml_changed,
-    toml_deep,
-    word_changed,
-    xml_changed,
-    yaml_changed,
-    zeroed,
-)
-
-ROWS = (*TEXT, gap, zeroed)
-JSON = (json_changed, json_changed, json_deep, *TEXT)
-XML = (xml_changed, xml_changed, *TEXT)
-PNG = (png_changed, png_changed, png_bomb)
-# Suffix -> mutations of such files, beside those of any file's bytes.
-MUTATIONS: dict[str, tuple[Mutation, ...]] = {
-    ".toml": (toml_changed, toml_changed, toml_changed, toml_deep, *TEXT),
-    ".json": JSON,
-    ".npz": (npz_changed, npz_changed, npz_changed, npz_archive, npz_bomb),
-    ".glb": (glb_changed, glb_changed, glb_nodes),
-    ".trc": ROWS,
-    ".csv": ROWS,
-    ".mot": ROWS,
-    ".bvh": (bvh_changed, bvh_changed, *TEXT),
-    ".yml": (yaml_changed, yaml_changed, *TEXT),
-    ".c3d": (c3d_changed, c3d_changed),
-    ".txt": XML,
-    ".xcp": XML,
-    ".mcal": XML,
-    ".pickle": (word_changed,),
-    ".png": PNG,
-    ".jpg": (jpeg_changed, jpeg_changed),
-    ".mp4": (boxes_changed, boxes_changed, boxes_changed),
-    ".rrd": (),
-}
-
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of input.
-
-    Attributes:
-        name: of it.
-        files: that become hostile, one of them in each case: one that the command line names, if
-            it names any of them.
-        commands: that read it, cheap ones.
-        costly: that read it too, for whoever has the time.
-        ends: exit code of the commands with the unchanged files.
-        also: other files or folders that the commands need.
-    """
+    """A kind of input."""
 
     name: str
+    # That become hostile, one in each case: one that the command line names, if it names any.
     files: tuple[str, ...]
-    commands: tuple[str, ...]
-    costly: tuple[str, ...] = ()
-    ends: int = 0
-    also: tuple[str, ...] = ()
+    commands: tuple[str, ...]  # that read it, cheap ones
+    costly: tuple[str, ...] = ()  # that read it too, for whoever has the time
+    ends: int = 0  # exit code of the commands with the unchanged files
+    also: tuple[str, ...] = ()  # other files or folders that the commands need
 
 
 RECORDING = ("recording.toml", "markers.trc", "cam.mp4", "calibration.toml")

@@ -29,25 +29,15 @@ BUILD_LIMIT_S = 300.0
 
 @dataclass
 class Answer:
-    """What came of a command.
+    """What came of a command."""
 
-    Attributes:
-        code: exit code; None where it was ended, or died.
-        seconds: that it took.
-        memory: the most that a process of its own would have held, bytes; None if not measured.
-        out: what it printed.
-        err: what it printed to stderr.
-        left: names of threads that do not end.
-        ended: why it was ended, or how it died.
-    """
-
-    code: int | None
-    seconds: float
-    memory: int | None
-    out: str
-    err: str
-    left: tuple[str, ...] = ()
-    ended: str | None = None
+    code: int | None  # exit code; None where it was ended, or died
+    seconds: float  # that it took
+    memory: int | None  # the most that a process of its own would take, bytes; None: not measured
+    out: str  # what it printed
+    err: str  # what it printed to stderr
+    left: tuple[str, ...] = ()  # names of threads that do not end
+    ended: str | None = None  # why it was ended, or how it died
 
 
 class Worker:

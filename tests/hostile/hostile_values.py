@@ -10,6 +10,7 @@ token in a text, which the finished text then has replaced.
 import json
 import math
 from collections.abc import Iterator
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -79,55 +80,38 @@ def hostile_value(rng: np.random.Generator) -> Any:
     return simple[rng.integers(len(simple))]
 
 
-def places_in(tree: Any, path: tuple = ()) -> Iterator[tuple]:
-    """Paths of everything in a tree, but the root."""
+def places_in(tree: Any) -> Iterator[tuple[Any, Any]]:
+    """What everything in a tree, but the root, is in, and its key or index there."""
     entries = tree.items() if isinstance(tree, dict) else ()
-    entries = enumerate(tree) if isinstance(tree, list) else entries
-    for key, value in entries:
-        yield (*path, key)
-        yield from places_in(value, (*path, key))
+    for key, value in enumerate(tree) if isinstance(tree, list) else entries:
+        yield tree, key
+        yield from places_in(value)
 
 
-def change_tree(rng: np.random.Generator, tree: Any) -> str:
-    """Change one place of a tree in place; what was done, as a few words."""
+def change_tree(rng: np.random.Generator, tree: Any) -> None:
+    """Change one place of a tree in place."""
     actual = list(places_in(tree))
     if not actual:
-        return "nothing"
-    path = actual[rng.integers(len(actual))]
-    parent = tree
-    for key in path[:-1]:
-        parent = parent[key]
-    key, at = path[-1], "/".join(map(str, path))
+        return
+    parent, key = actual[rng.integers(len(actual))]
     how = rng.integers(10)
     if how == 0:
         del parent[key]
-        return f"{at} deleted"
-    if how == 1 and isinstance(parent, dict):
-        parent[name := hostile_text(rng)] = parent.pop(key)
-        return f"{at} renamed {brief(name)}"
-    if how == 2:
-        other = actual[rng.integers(len(actual))]
-        parent[key] = json.loads(json.dumps(_value_at(tree, other)))
-        return f"{at} becomes a copy of {'/'.join(map(str, other))}"
-    if how == 3 and isinstance(parent[key], list):
+    elif how == 1 and isinstance(parent, dict):
+        parent[hostile_text(rng)] = parent.pop(key)
+    elif how == 2:
+        other, at = actual[rng.integers(len(actual))]
+        parent[key] = deepcopy(other[at])
+    elif how == 3 and isinstance(parent[key], list):
         parent[key] = parent[key] * int(rng.choice([0, 2, 1000]))
-        return f"{at} repeated"
-    if how == 4 and isinstance(parent, dict):
+    elif how == 4 and isinstance(parent, dict):
         parent[hostile_text(rng)] = hostile_value(rng)
-        return f"something added beside {at}"
-    if isinstance(parent[key], int | float) and how < 9:
-        parent[key] = value = raw(hostile_number(rng))
+    elif isinstance(parent[key], int | float) and how < 9:
+        parent[key] = raw(hostile_number(rng))
     elif isinstance(parent[key], str) and how < 9:
-        parent[key] = value = hostile_text(rng)
+        parent[key] = hostile_text(rng)
     else:
-        parent[key] = value = hostile_value(rng)
-    return f"{at} = {brief(value)}"
-
-
-def _value_at(tree: Any, path: tuple) -> Any:
-    for key in path:
-        tree = tree[key]
-    return tree
+        parent[key] = hostile_value(rng)
 
 
 def brief(value: Any) -> str:

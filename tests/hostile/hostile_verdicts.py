@@ -55,15 +55,9 @@ def _what(path: Path) -> str:
 def faults(
     answer: Answer, before: Snapshot, after: Snapshot, deep: Path, named: Collection[str] = ()
 ) -> list[str]:
-    """What was broken; nothing where all is as promised.
+    """What was broken of the promise by a command that ran ``deep`` in a case's folder.
 
-    Args:
-        answer: of the command.
-        before: what the case's folder held before.
-        after: what it holds now.
-        deep: where in it the command ran.
-        named: what the command line names; these files, and new ones in these folders, are its
-            outputs too.
+    What the command line names is its outputs too: these files, and new ones in these folders.
     """
     files = [] if before == after else _of_files(before, after, deep, answer, named)
     if answer.ended:

@@ -20,6 +20,7 @@ from jaxmocap.formats.recordings.filters import OneEuroSettings
 from jaxmocap.formats.recordings.recording import MarkerPlace
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.live import tracking as live_tracking
+from jaxmocap.pipelines.live.frame_pace import LONGEST_WAIT_S, MOST_BUSY, FramePace
 from jaxmocap.pipelines.live.setup import LiveSetup
 from jaxmocap.pipelines.live.tracking import LiveTracking
 from jaxmocap.smoothing.fixed_lag import SmoothedPose
@@ -344,3 +345,40 @@ def test_a_camera_that_is_late_by_half_a_second_counts(tracking):
         if i >= 45:
             live.frames([frame(i / 90 - 0.5, delay=0.5)])
     assert np.isfinite(outputs[0].deviations).all()
+
+
+# The pace of frames -------------------------------------------------------------------------------
+
+
+FPS, SECONDS = 30, 10
+
+
+def run(seconds_a_frame: float, seconds_between: float = 0.0) -> tuple[list[float], float]:
+    """When frames are taken that take so long, with other work in between; share of time worked."""
+    pace, taken, now, worked = FramePace(), [], 0.0, 0.0
+    for i in range(FPS * SECONDS):
+        began, now = now, max(now, i / FPS)
+        work = seconds_between
+        if pace.is_due(now):
+            pace.took_frame(now)
+            taken.append(now)
+            work += seconds_a_frame
+        pace.count_work(work, now + work - began)
+        now, worked = now + work, worked + work
+    return taken, worked / now
+
+
+def test_all_are_taken_where_there_is_the_time():
+    assert len(run(0.02)[0]) == FPS * SECONDS
+
+
+@pytest.mark.parametrize("seconds", [0.035, 0.05, 0.08])
+def test_as_many_are_taken_as_leave_the_others_some_time(seconds):
+    taken, share = run(seconds, 0.001)
+    assert MOST_BUSY - 0.1 < share < MOST_BUSY + 0.05
+    assert len(taken) > 0.8 * SECONDS * MOST_BUSY / (seconds + 0.002)
+
+
+def test_some_are_taken_whatever_else_there_is_to_do():
+    taken, _ = run(0.02, 0.04)
+    assert len(taken) > 0.5 * SECONDS / LONGEST_WAIT_S

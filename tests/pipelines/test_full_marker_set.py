@@ -7,7 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from held_devices import write_turning_head
 
+from jaxmocap import Recording, Settings
 from jaxmocap.body.kinematics import forward, landmarks, site_positions
 from jaxmocap.body.model import marker_sites
 from jaxmocap.body.pose import Pose, beyond_limits
@@ -164,3 +166,34 @@ def test_an_elbow_that_turned_through_its_back_is_found_the_right_way_round(twis
     np.testing.assert_allclose(found.cost, right.cost, rtol=0.01)
     beyond = beyond_limits(model.skeleton.limits, found.poses.angles)
     assert beyond.max() < np.radians(20)
+
+
+# A head that turns --------------------------------------------------------------------------------
+
+
+# What a measured head or hand may be off in 95 % of the samples, metres and degrees.
+HELD_M, HELD_DEG = 0.01, 3.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("oriented", [True, False])
+@pytest.mark.parametrize("way", ["smoothed", "frame by frame", "no video"])
+def test_measured_head_and_hands_hold_while_the_head_turns(tmp_path, way, oriented):
+    path, R_world_head = write_turning_head(tmp_path, oriented=oriented, filmed=way != "no video")
+    recording, settings = Recording.load(path), Settings()
+    settings = replace(settings, smooth=way == "smoothed")
+    poses = jax.tree.map(np.asarray, track(recording, settings, mode="causal").poses)
+    model = HybridTracker.from_recording(recording, settings).model
+
+    def placed(pose):
+        frames = forward(model.skeleton, pose)
+        head = frames.R_world_bone[model.skeleton.tree.bone("head")]
+        return site_positions(model.skeleton, frames, model.markers), head
+
+    points, R = jax.jit(jax.vmap(placed))(poses)
+    off = np.linalg.norm(np.asarray(points) - recording.positions_world, axis=-1)
+    assert np.percentile(off, 95) < HELD_M
+    if oriented:
+        between = np.einsum("tij,tij->t", np.asarray(R), R_world_head)
+        turned = np.degrees(np.arccos(np.clip((between - 1) / 2, -1, 1)))
+        assert np.percentile(turned, 95) < HELD_DEG

@@ -45,12 +45,9 @@ def late() -> tuple[Pose, Measurements]:
     )
 
 
-def test_the_markers_poses_face_where_the_shoulders_did(late):
+def test_all_markers_at_once_face_where_the_shoulders_do_and_their_poses_did_before(late):
     _, measured = late
     assert aside(measured.facing).mean() > 10
-
-
-def test_all_markers_at_once_face_where_the_shoulders_do(late):
     poses, measured = late
     ahead = facing_in_time(MODEL, SETTINGS, TIMES, measured, poses)
     np.testing.assert_allclose(np.linalg.norm(ahead, axis=-1), 1, atol=1e-5)

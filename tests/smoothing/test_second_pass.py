@@ -313,33 +313,24 @@ def smoothed_run():
     return second_pass(frames, start=start, shown=shown), start, shown
 
 
-def test_elbows_that_the_frames_show_are_found(smoothed_run):
+def test_elbows_that_the_frames_show_are_found_and_every_event_has_deviations(smoothed_run):
     smoothed, start, _ = smoothed_run
     before, after = errors_of(start), errors_of(smoothed.poses)
     assert before.mean() > 0.06
     assert after.mean() < 0.04 and after.mean() < 0.5 * before.mean()
-
-
-def test_a_camera_whose_calibration_is_true_hardly_turns(smoothed_run):
     assert smoothed_run[0].turns_cam.shape == (1, 3)
     assert 0 < np.degrees(np.linalg.norm(smoothed_run[0].turns_cam)) < 0.2
+    smoothed, events = smoothed_run[0], len(TIMES)
+    assert smoothed.deviations.shape == (events, len(LANDMARKS), 3)
+    assert (smoothed.deviations > 0).all()
+    assert smoothed.from_prior.shape == (events, len(LANDMARKS))
+    shown = smoothed_run[2]
+    assert shown == sorted(shown) and shown[0] > 0 and shown[-1] == pytest.approx(1)
 
 
 def test_calibrations_hold_where_the_settings_say_so(problems):
     smoothed = second_pass(settings=replace(SETTINGS, camera=0.0))
     assert problems and smoothed is not None and smoothed.turns_cam.shape == (0, 3)
-
-
-def test_every_event_has_deviations(smoothed_run):
-    smoothed, events = smoothed_run[0], len(TIMES)
-    assert smoothed.deviations.shape == (events, len(LANDMARKS), 3)
-    assert (smoothed.deviations > 0).all()
-    assert smoothed.from_prior.shape == (events, len(LANDMARKS))
-
-
-def test_the_share_done_grows_to_one(smoothed_run):
-    shown = smoothed_run[2]
-    assert shown == sorted(shown) and shown[0] > 0 and shown[-1] == pytest.approx(1)
 
 
 def test_steps_have_deviations_of_the_elbows_only():
@@ -374,23 +365,19 @@ def both_passes(recording):
     return [track_both(recording, mode=mode, tracker=own) for mode in ("own", "causal")]
 
 
-def test_a_recording_is_smoothed_to_better_elbows_than_the_markers_alone(both_passes):
+def test_a_recording_is_smoothed_to_better_elbows_and_the_report_says_how_sure_they_are(
+    both_passes,
+):
     tracked, _ = both_passes
     alone, smoothed = (errors_of(motion.poses) for motion in (tracked.markers_only, tracked.motion))
     assert smoothed.mean() < 0.6 * alone.mean() and smoothed.mean() < 0.05
     assert tracked.motion.report.milliseconds["smooth"].shape == (1,)
     assert np.isfinite(tracked.motion.report.landmarks_std).all()
     assert np.isin(tracked.motion.report.from_prior, [0, 1]).all()
-
-
-def test_the_report_has_errors_swivels_and_deviations_of_every_event(both_passes):
     report, events = both_passes[0].motion.report, len(TIMES)
     assert report.marker_errors.shape == (events, len(PLACES)) and report.marker_errors.max() < 0.03
     assert report.swivels.shape == report.elbow_deviations.shape == (events, 2)
     assert (report.elbow_deviations > 0).all()
-
-
-def test_the_report_has_the_turn_of_the_camera(both_passes):
     over_all, causal = (tracked.motion.report.settings for tracked in both_passes)
     (turn,) = over_all["camera_turns_deg"].values()
     assert list(over_all["camera_turns_deg"]) == ["cam"] and len(turn) == 3

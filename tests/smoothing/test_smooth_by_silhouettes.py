@@ -132,6 +132,8 @@ def test_landmarks_follow_as_differences_between_minima_say():
         model, chosen, given = in_double(single)
         model = jax.tree.map(jnp.asarray, model)
 
+        # Traced once for both derivatives.
+        @jax.jit
         def motion(start: Pose, numbers: jax.Array) -> SmoothMotion:
             return jaxmocap.smooth(stated(model, numbers), chosen, given._replace(poses=start))
 

@@ -86,14 +86,11 @@ def test_who_may_keep_to_what_is_unusual_is_less_surely_guessed(by_one_camera):
 # What is found -----------------------------------------------------------------------------------
 
 
-def test_disturbed_elbows_are_found_again_by_one_camera(by_one_camera):
+def test_disturbed_elbows_are_found_again_by_one_camera_and_markers_are_met(by_one_camera):
     assert elbow_errors(disturbed(COUNT).poses).min() > 0.05
     errors = elbow_errors(by_one_camera.trajectory.poses)
     assert errors.mean() < 0.02 and errors.max() < 0.03
     assert by_one_camera.status == Status.CONVERGED
-
-
-def test_the_markers_are_met(by_one_camera):
     off = points_of(by_one_camera.trajectory.poses) - points_of(truth(COUNT))
     for name in ("vertex", "wrist_l", "wrist_r"):
         assert np.linalg.norm(off[:, LANDMARKS.index(name)], axis=1).max() < 0.015, name

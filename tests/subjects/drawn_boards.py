@@ -36,12 +36,8 @@ def rays(fisheye: bool = False) -> np.ndarray:
     x = (np.arange(SIZE[0] * FINE) + 0.5) / FINE - 0.5
     y = (np.arange(SIZE[1] * FINE) + 0.5) / FINE - 0.5
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 1, 2)
-    if fisheye:
-        undistorted = cv2.fisheye.undistortPoints(
-            grid, FISHEYE_LENS.matrix, FISHEYE_LENS.distortions
-        )
-    else:
-        undistorted = cv2.undistortPoints(grid, LENS.matrix, LENS.distortions)
+    lens, model = (FISHEYE_LENS, cv2.fisheye) if fisheye else (LENS, cv2)
+    undistorted = model.undistortPoints(grid, lens.matrix, lens.distortions)
     return undistorted.reshape(SIZE[1] * FINE, SIZE[0] * FINE, 2).astype(np.float32)
 
 
@@ -78,13 +74,13 @@ def charuco_shade(board: Board, across: np.ndarray, up: np.ndarray) -> np.ndarra
 
 
 def pixels_of(
-    points: np.ndarray, T_cam_points: np.ndarray, noise: float = 0.0, seed: int = 0
+    points: np.ndarray, T_cam_points: np.ndarray, noise: float = 0.0, seed: int = 0, lens=LENS
 ) -> np.ndarray:
     """Pixels (N, 2) of points (N, 3), as the lens shows them, with noise in pixels."""
     rvec, _ = cv2.Rodrigues(T_cam_points[:3, :3])
-    places, tvec = np.asarray(points, float), T_cam_points[:3, 3]
-    pixels, _ = cv2.projectPoints(places, rvec, tvec, LENS.matrix, LENS.distortions)
-    pixels = pixels.reshape(-1, 2)
+    places, tvec = np.asarray(points, float)[:, None], T_cam_points[:3, 3]
+    project = cv2.fisheye.projectPoints if lens.fisheye else cv2.projectPoints
+    pixels = project(places, rvec, tvec, lens.matrix, lens.distortions)[0].reshape(-1, 2)
     return pixels + np.random.default_rng(seed).normal(0, noise, pixels.shape)
 
 
