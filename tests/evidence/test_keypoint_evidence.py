@@ -211,6 +211,18 @@ def test_there_is_no_ray_where_a_lens_folds():
     assert (found.confidences[0, 0, landmark_rows(names)] == [1, 1, 0, 0]).all()
 
 
+def test_slopes_are_those_of_finite_differences():
+    pose, frame = a_frame()
+    count = 3 * len(LANDMARKS)
+    slopes = np.asarray(jax.jit(jax.jacfwd(moved))(STILL, pose, frame))[-count:]
+    h = 2e-3
+    for i in range(STILL.size):
+        step = np.eye(STILL.size, dtype=np.float32)[i] * h
+        rise = np.asarray(moved(step, pose, frame)) - np.asarray(moved(-step, pose, frame))
+        np.testing.assert_allclose(slopes[:, i], rise[-count:] / (2 * h), atol=0.05)
+    assert np.abs(slopes).max() > 5
+
+
 def test_a_frame_without_any_point_costs_what_it_does_without_lines():
     pose, frame = a_frame()
     own, without = frame.sight_lines, frame._replace(sight_lines=None)

@@ -347,10 +347,19 @@ def test_other_inputs_and_settings_are_something_else(recording, tmp_path, chang
     assert fingerprint(path, options) != before
 
 
-def test_the_one_input_of_a_broken_recording_is_itself(tmp_path):
+def test_inputs_are_what_the_files_name_wherever_it_lies(tmp_path):
+    (tmp_path / "points").mkdir()
+    for name in ("m.trc", "static.trc", "points/1.json", "unnamed.trc"):
+        (tmp_path / name).write_text(name)
+    (tmp_path / "subject.toml").write_text('static = "static.trc"\nup = "z"\n')
     path = tmp_path / "recording.toml"
-    path.write_text("[markers")
-    assert readable_inputs(path) == [path]
+    path.write_text(
+        '[markers]\nfile = "m.trc"\n[subject]\nfile = "subject.toml"\n'
+        '[[video]]\nkeypoints = "points"\nfile = "gone.mp4"\n'
+    )
+    assert [each.relative_to(tmp_path).as_posix() for each in readable_inputs(path)] == [
+        "gone.mp4", "m.trc", "points/1.json", "recording.toml", "static.trc", "subject.toml",
+    ]  # fmt: skip
 
 
 def test_recordings_are_toml_files_with_markers_at_any_depth(tmp_path):

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from painted_motion import CAMERAS, MODEL, PERSON, SETTINGS, disturbed, elbow_errors, problem, views
 
-from jaxmocap.geometry.cameras import to_camera, turn_camera
+from jaxmocap.geometry.cameras import project, to_camera, turn_camera
 from jaxmocap.geometry.rotations import exp
 from jaxmocap.smoothing.elbow_viterbi import elbow_path
 from jaxmocap.smoothing.linearise import SmoothedPoses, smooth_poses
@@ -134,6 +134,14 @@ def test_a_turned_camera_stays_where_it_is_and_turns_what_it_sees(turn, point):
         to_camera(CAMERAS[0], on_device(point))
     )
     np.testing.assert_allclose(to_camera(other, on_device(point)), turned_point, atol=1e-5)
+
+
+def test_half_a_degree_moves_what_is_seen_by_that_angle():
+    ahead = CAMERAS[0].position_world + 3 * CAMERAS[0].T_cam_world[2, :3]
+    sideways = turn_camera(CAMERAS[0], jnp.array([0.0, np.radians(0.5), 0.0], float))
+    moved = project(sideways, ahead) - project(CAMERAS[0], ahead)
+    focal = float(CAMERAS[0].matrix[0, 0])
+    np.testing.assert_allclose(moved, [focal * np.tan(np.radians(0.5)), 0], atol=0.01)
 
 
 def test_without_turns_cameras_are_the_very_same():
