@@ -37,7 +37,7 @@ from jaxmocap.body.arms import (
     unmarked_arms,
 )
 from jaxmocap.body.kinematics import forward
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.smoothing.batch import DECISIONS, FREE_DECISIONS
@@ -143,6 +143,34 @@ def _bent_again(pose: Pose) -> tuple[Array, Array]:
 def test_an_arms_places_determine_its_joint_angles(degrees):
     were, are = _bent_again(swivelled((degrees, -degrees)))
     np.testing.assert_allclose(are, np.stack([were, were], 1), atol=2e-5)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000))
+def test_a_raised_arm_is_bent_within_its_ranges_wherever_it_was_before(seed):
+    """Its other answer, far beyond them, kept the search from where the arm was."""
+    rng = np.random.default_rng(seed)
+    rows, limits = arm_dofs(PERSON.tree), np.asarray(PERSON.limits)
+    low, high = np.moveaxis(limits[rows], -1, 0)
+    angles = rng.uniform(low, high)
+    # Of a straight arm no plane determines how it turns.
+    angles[:, 3] = np.maximum(angles[:, 3], 0.2)
+    before = rng.uniform(low, high)
+    there, answers = _bent_from(angles.astype(np.float32), before.astype(np.float32))
+    beyond = np.maximum(low - answers, 0) + np.maximum(answers - high, 0)
+    assert beyond.max() < 1e-3
+    are, _ = _bent_from(np.asarray(answers), before.astype(np.float32))
+    np.testing.assert_allclose(are, there, atol=1e-4)
+
+
+@jax.jit
+def _bent_from(angles: Array, before: Array) -> tuple[Array, Array]:
+    """Joints (J, 3) with arms at angles (2, 4), and their answers (2, 4) from other ones before."""
+    rows, pose = arm_dofs(PERSON.tree), relaxed_pose(PERSON)
+    pose = pose._replace(angles=pose.angles.at[rows].set(angles))
+    hung = hang(PERSON, pose, GRIPS)
+    answers = jax.vmap(bent)(hung._replace(angles=before), hung.arms)
+    return forward(PERSON, pose).joints_world, answers
 
 
 # Decisions ---------------------------------------------------------------------------------------
