@@ -40,7 +40,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.smoothing.batch import DECISIONS, FREE_DECISIONS
+from jaxmocap.smoothing.batch import DECISIONS, FREE_DECISIONS, cheaper_by_stretch
 from jaxmocap.smoothing.elbow_viterbi import elbow_path, turn_arms_along
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import Trajectory, Views
@@ -210,6 +210,15 @@ def test_a_forearm_that_points_the_other_way_is_turned_to_its_goals_before_a_sol
     pulled, put = (smooth_poses(guided, each, (1.5,)).trajectory for each in (start, there))
     left, led = (off(points_of(each.poses)[:, ELBOWS])[:, 1] for each in (pulled, put))
     assert left.max() > 0.2 and led.max() < 0.08
+
+
+@pytest.mark.parametrize("led_astray", [False, True])
+def test_an_arm_stays_wherever_following_the_path_costs_more(led_astray):
+    """A raised arm that was right was led 28 cm off for 0.4 s."""
+    each = [Trajectory(poses, NO_CHANGE) for poses in (truth(COUNT), swivelled((0.0, 140.0)))]
+    wrong = off(points_of(each[1].poses)[:, ELBOWS])[:, 1]
+    actual = cheaper_by_stretch(problem(COUNT, views(COUNT)), *(each if led_astray else each[::-1]))
+    assert wrong.min() > 0.3 and off(points_of(actual.poses)[:, ELBOWS]).max() < 0.1
 
 
 @pytest.mark.parametrize("degrees", [(0, -90), (70, 70)])
