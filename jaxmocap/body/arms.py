@@ -91,6 +91,8 @@ def arms_of(skeleton: Skeleton, frames: Frames, grip_sites: Sites) -> Arms:
 # Directions in which a search turns a forearm about its grip, seen from where markers put it.
 FARTHEST_TURN_DEG = 75.0
 TURN_SPACING_DEG = 10.0
+# Angles of a shoulder keep to its limits where they are beyond them by less, radians in all.
+BEYOND_RAD = 0.1
 
 
 def forearm_turns() -> np.ndarray:
@@ -219,12 +221,12 @@ def reachable_hinges(R: Array, axes: Array, near: Array, limits: Array) -> Array
     """Angles (3,) of the hinges that make up ``R``, of both answers the one within limits (3, 2).
 
     An arm that is raised beyond the level has one answer within them and one far beyond. Where
-    both keep to them, it is the one nearer to ``near``.
+    both keep to them, or neither does, it is the one nearer to ``near``.
     """
     answers = both_hinges(R, axes, jnp.mean(limits, -1))
-    beyond = jnp.sum(beyond_limits(limits, answers), -1)
+    within = jnp.sum(beyond_limits(limits, answers), -1) < BEYOND_RAD
     away = jnp.sum((answers - near) ** 2, -1)
-    is_first = jnp.where(beyond[0] == beyond[1], away[0] <= away[1], beyond[0] < beyond[1])
+    is_first = jnp.where(within[0] == within[1], away[0] <= away[1], within[0])
     return jnp.where(is_first, answers[0], answers[1])
 
 
