@@ -57,21 +57,13 @@ KINDS = ("real", *MOTIONS)
 
 @dataclass(frozen=True)
 class Criterion:
-    """One demand.
+    """One demand."""
 
-    Attributes:
-        name: what is measured.
-        values: every figure that has to fulfil it.
-        least: bound from below.
-        most: bound from above.
-        unit: cm, s, frames, % or x.
-    """
-
-    name: str
-    values: Sequence[float]
-    least: float
-    most: float
-    unit: str
+    name: str  # what is measured
+    values: Sequence[float]  # every figure that has to fulfil it
+    least: float  # bound from below
+    most: float  # bound from above
+    unit: str  # cm, s, frames, % or x
 
     @property
     def met(self) -> bool:
@@ -228,6 +220,12 @@ def calm_row(result: Result) -> list[str]:
     return [result.clip.name, *cells]
 
 
+def astray_row(group: str, results: list[Result]) -> list[str]:
+    """For how long elbows are astray in all of a group's recordings."""
+    seconds = np.sum([result.astray for result in results], 0)
+    return [f"{group}, all", "", "", *(f"{each:.2f}" for each in seconds), "", "", "", "", "", ""]
+
+
 def sure_rows(group: str, results: list[Result]) -> list[list[str]]:
     """Of each landmark: truths within the 90 % interval, width, share that is the prior's."""
     sure, pooled = covered(results), pool(results)
@@ -273,7 +271,7 @@ def report(groups: dict[str, list[Result]], causal: bool) -> str:
     errors, calm, parts = list(ERROR_HEADINGS), list(CALM_HEADINGS), []
     for group, results in groups.items():
         errors += [*map(error_row, results), mean_row(group, results), worst_row(group, results)]
-        calm += map(calm_row, results)
+        calm += [*map(calm_row, results), astray_row(group, results)]
         parts += [rows] if (rows := sure_rows(group, results)) else []
     verdicts = [["criterion", "measured", "wanted", "", ""]]
     verdicts += [criterion.row() for criterion in criteria(groups, causal)]

@@ -11,17 +11,18 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Frames, Sites, forward, site_positions
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.body.skeleton import Skeleton, landmark_rows
 from jaxmocap.body.surfaces.cones import Cones
 from jaxmocap.body.tree import Tree
 from jaxmocap.compilation.arrays import Numbers, namespace
 from jaxmocap.geometry.rotations import (
     about_axis,
+    both_hinges,
     compose,
     cross,
     exp,
-    hinges_from_matrix,
+    nearest_hinges,
     quaternion_log,
     rotate,
 )
@@ -90,6 +91,8 @@ def arms_of(skeleton: Skeleton, frames: Frames, grip_sites: Sites) -> Arms:
 # Directions in which a search turns a forearm about its grip, seen from where markers put it.
 FARTHEST_TURN_DEG = 75.0
 TURN_SPACING_DEG = 10.0
+# Angles of a shoulder keep to its limits where they are beyond them by less, radians in all.
+BEYOND_RAD = 0.1
 
 
 def forearm_turns() -> np.ndarray:
@@ -134,6 +137,7 @@ class Hung(NamedTuple):
     angles: Array  # (2, 4) of the pose, shoulder to elbow, radians
     R_world_carrier: Array  # (2, 3, 3) orientations of the clavicles
     axes: Array  # (2, 4, 3) hinge axes, shoulder to elbow, each in the frame its predecessors leave
+    limits: Array  # (2, 4, 2) smallest and largest angles, radians
     reaches: Array  # (2, 3, 3) vectors along humerus, radius and hand, each in its bone's frame
     grip: Array  # (2, 3) in the forearm's frame, from the elbow
     arms: Arms  # at the pose that the trunk was taken from, with their pivots for grips
@@ -167,6 +171,7 @@ def hang(
         pose.angles[dofs],
         frames.R_world_bone[carriers],
         skeleton.axes[dofs],
+        skeleton.limits[dofs],
         reaches,
         rotate(to_radius, arms.grip - arms.elbow),
         with_pivots(arms, pivots),
@@ -212,13 +217,17 @@ def swing(hung: Hung, moves: Array) -> tuple[Arms, Array]:
     return arms, jnp.concatenate([turned, angles[:, 3:]], -1)
 
 
-def nearest_hinges(R: Array, axes: Array, near: Array) -> Array:
-    """Angles (3,) of the hinges that make up ``R``, of both answers the one nearer to ``near``."""
-    one = hinges_from_matrix(R, axes)
-    other = jnp.stack([one[0] + jnp.pi, jnp.pi - one[1], one[2] + jnp.pi])
-    wrapped = [near + (answer - near + jnp.pi) % (2 * jnp.pi) - jnp.pi for answer in (one, other)]
-    first, second = (jnp.sum((answer - near) ** 2) for answer in wrapped)
-    return jnp.where(first <= second, wrapped[0], wrapped[1])
+def reachable_hinges(R: Array, axes: Array, near: Array, limits: Array) -> Array:
+    """Angles (3,) of the hinges that make up ``R``, of both answers the one within limits (3, 2).
+
+    An arm that is raised beyond the level has one answer within them and one far beyond. Where
+    both keep to them, or neither does, it is the one nearer to ``near``.
+    """
+    answers = both_hinges(R, axes, jnp.mean(limits, -1))
+    within = jnp.sum(beyond_limits(limits, answers), -1) < BEYOND_RAD
+    away = jnp.sum((answers - near) ** 2, -1)
+    is_first = jnp.where(within[0] == within[1], away[0] <= away[1], within[0])
+    return jnp.where(is_first, answers[0], answers[1])
 
 
 def bent(hung: Hung, arm: Arms) -> Array:
@@ -235,7 +244,8 @@ def bent(hung: Hung, arm: Arms) -> Array:
     local = _upright(local_upper, axis)
     R_world_humerus = compose(_upright(upper, across).T, local)
     R = compose(hung.R_world_carrier.T, R_world_humerus)
-    return jnp.append(nearest_hinges(R, hung.axes[:3], hung.angles[:3]), elbow)
+    shoulder = reachable_hinges(R, hung.axes[:3], hung.angles[:3], hung.limits[:3])
+    return jnp.append(shoulder, elbow)
 
 
 def _upright(along: Array, across: Array) -> Array:

@@ -152,3 +152,17 @@ def hinges_from_matrix(R: Array, axes: Array) -> Array:
     s, c = jnp.sin(first), jnp.cos(first)
     third = jnp.arctan2(c * M[1, 0] + s * M[2, 0], c * M[1, 1] + s * M[2, 1])
     return handed * jnp.stack([first, second, third])
+
+
+def both_hinges(R: Array, axes: Array, about: Array) -> Array:
+    """Both answers (2, 3) of ``hinges_from_matrix``, each angle within half a turn of ``about``."""
+    one = hinges_from_matrix(R, axes)
+    other = jnp.stack([one[0] + jnp.pi, jnp.pi - one[1], one[2] + jnp.pi])
+    return about + (jnp.stack([one, other]) - about + jnp.pi) % (2 * jnp.pi) - jnp.pi
+
+
+def nearest_hinges(R: Array, axes: Array, near: Array) -> Array:
+    """Angles (3,) of the hinges that make up ``R``, of both answers the one nearer to ``near``."""
+    first, second = both_hinges(R, axes, near)
+    is_first = jnp.sum((first - near) ** 2) <= jnp.sum((second - near) ** 2)
+    return jnp.where(is_first, first, second)

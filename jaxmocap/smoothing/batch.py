@@ -4,6 +4,7 @@
     measure  every frame -> grids: the person, the forearms, the legs
     smooth   markers, grids -> poses, roughly
     decide   every frame's candidates for the elbows -> the cheapest path, which the poses follow
+             wherever that costs less
 
 and in the end once more, learned and measured by the better poses and solved as finely.
 
@@ -16,6 +17,7 @@ from typing import NamedTuple, Protocol
 
 import jax
 import numpy as np
+from scipy.ndimage import binary_dilation, label
 
 from jaxmocap.body.arms import ELBOW, GRIP, SHOULDER, unmarked_arms
 from jaxmocap.body.model import Model
@@ -37,7 +39,13 @@ from jaxmocap.images.foreground import is_blank, shrink
 from jaxmocap.images.silhouette_grid import blur_grid
 from jaxmocap.smoothing.elbow_viterbi import elbow_path, turn_arms_along
 from jaxmocap.smoothing.facing import facing_in_time, references
-from jaxmocap.smoothing.linearise import rows_of, smooth_poses
+from jaxmocap.smoothing.linearise import (
+    linearise_problem,
+    rows_of,
+    smooth_poses,
+    soften_grids,
+    two_workers,
+)
 from jaxmocap.smoothing.problem import (
     TURN,
     UNTURNED,
@@ -62,6 +70,8 @@ PREPARED = 1e-3
 ROUGH_SOLVES, PUSHED_RAD = 3, 0.009
 # Background and colours are learned from so many frames.
 LEARNED_FRAMES = 30
+# An elbow was led elsewhere where it is farther away than that, metres; events beside it count too.
+APART_M, BESIDE = 0.1, 3
 # So many times candidates decide where the elbows are, turned about what the arms' markers hold,
 DECISIONS = (GRIP, GRIP)
 # or, where an arm carries none, first all of it and then its forearm.
@@ -174,7 +184,8 @@ def solve_recording(
         path = elbow_path(problem, trajectory, np.where(unmarked, pivot, GRIP))
         guided = problem.with_measured(elbows=path.goals)
         start = turn_arms_along(model, trajectory, path)
-        return smooth_poses(guided, start, DECIDING, PREPARED).trajectory
+        led = smooth_poses(guided, start, DECIDING, PREPARED).trajectory
+        return cheaper_by_stretch(problem, trajectory, led)
 
     poses = first_pass.poses
     if model.no_foot_is_marked:
@@ -199,6 +210,54 @@ def solve_recording(
     problem = measured_about(trajectory)
     show(0.7)
     return SolvedProblem(problem, smooth_poses(problem, trajectory, FINELY).trajectory)
+
+
+def cheaper_by_stretch(
+    problem: SmoothingProblem, before: Trajectory, led: Trajectory
+) -> Trajectory:
+    """Poses that were led, and those from before wherever these cost less.
+
+    A search prices an arm with the rest of the body where it is, so that a solve that follows it
+    may end higher than one that does not.
+
+    Args:
+        problem: the recording, without goals for elbows.
+        before: T events, where the arms were.
+        led: the same T events after a solve with goals.
+    """
+    if not _apart(*(_elbows_of(problem, each) for each in (before, led))).any():
+        return led
+    each = [smooth_poses(problem, start, DECIDING, PREPARED).trajectory for start in (before, led)]
+    soft = soften_grids(problem, DECIDING[-1])
+    with two_workers() as workers:
+        stayed, moved = (linearise_problem(soft, DECIDING[-1], workers, one) for one in each)
+    apart = _apart(*(_elbows_of(problem, one) for one in each))
+    stretches, count = label(binary_dilation(apart, iterations=BESIDE))  # type: ignore[misc]
+    keeps = np.zeros(len(apart), bool)
+    for number in range(1, count + 1):
+        rows = np.flatnonzero(stretches == number)
+        prior = replace(problem, times=problem.times[rows]).motion_prior()
+        costs = [
+            np.asarray(one.cost)[rows].sum() + prior.cost(np.asarray(one.points, float)[rows])
+            for one in (stayed, moved)
+        ]
+        keeps[rows] = costs[0] < costs[1]
+
+    def chosen(kept: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return np.where(keeps.reshape(-1, *[1] * (np.ndim(kept) - 1)), kept, other)
+
+    return each[1]._replace(poses=jax.tree.map(chosen, each[0].poses, each[1].poses))
+
+
+def _elbows_of(problem: SmoothingProblem, trajectory: Trajectory) -> np.ndarray:
+    """(T, 2, 3) world, metres."""
+    person = trajectory.person(problem.model.skeleton)
+    return landmarks_over_time(person, trajectory.poses, ELBOWS)
+
+
+def _apart(elbows: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """(T,) where either of two elbows is far from where others have it."""
+    return (np.linalg.norm(elbows - others, axis=-1) > APART_M).any(-1)
 
 
 def _with_usual_legs(

@@ -90,9 +90,12 @@ def test_an_elbow_astray_is_stated_only_by_a_deviation_that_covers_it():
     sure = Sureness(off.video.joints, off.video.offsets, deviations, np.zeros((90, 2), bool))
     off = replace(off, sureness=sure)
     assert off.astray == (pytest.approx(10 / 90), pytest.approx(20 / 90))
-    text = accuracy.report({"across": [result("across", "b", 0.2, 0.01), off]}, causal=False)
+    results = [result("across", "b", 0.2, 0.01), off, off]
+    text = accuracy.report({"across": results}, causal=False)
     rows = [line.split() for line in text.splitlines() if line.startswith("across, worst")]
     assert rows[0][2] == "15.0"
+    sums = [line.split() for line in text.splitlines() if line.startswith("across, all")]
+    assert sums[0][2:] == ["0.22", "0.44"]
 
 
 def test_confidence_is_demanded_of_each_coordinate_by_itself():

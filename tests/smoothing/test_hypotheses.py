@@ -37,10 +37,10 @@ from jaxmocap.body.arms import (
     unmarked_arms,
 )
 from jaxmocap.body.kinematics import forward
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.smoothing.batch import DECISIONS, FREE_DECISIONS
+from jaxmocap.smoothing.batch import DECISIONS, FREE_DECISIONS, cheaper_by_stretch
 from jaxmocap.smoothing.elbow_viterbi import elbow_path, turn_arms_along
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import Trajectory, Views
@@ -145,6 +145,34 @@ def test_an_arms_places_determine_its_joint_angles(degrees):
     np.testing.assert_allclose(are, np.stack([were, were], 1), atol=2e-5)
 
 
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000))
+def test_a_raised_arm_is_bent_within_its_ranges_wherever_it_was_before(seed):
+    """Its other answer, far beyond them, kept the search from where the arm was."""
+    rng = np.random.default_rng(seed)
+    rows, limits = arm_dofs(PERSON.tree), np.asarray(PERSON.limits)
+    low, high = np.moveaxis(limits[rows], -1, 0)
+    angles = rng.uniform(low, high)
+    # Of a straight arm no plane determines how it turns.
+    angles[:, 3] = np.maximum(angles[:, 3], 0.2)
+    before = rng.uniform(low, high)
+    there, answers = _bent_from(angles.astype(np.float32), before.astype(np.float32))
+    beyond = np.maximum(low - answers, 0) + np.maximum(answers - high, 0)
+    assert beyond.max() < 1e-3
+    are, _ = _bent_from(np.asarray(answers), before.astype(np.float32))
+    np.testing.assert_allclose(are, there, atol=1e-4)
+
+
+@jax.jit
+def _bent_from(angles: Array, before: Array) -> tuple[Array, Array]:
+    """Joints (J, 3) with arms at angles (2, 4), and their answers (2, 4) from other ones before."""
+    rows, pose = arm_dofs(PERSON.tree), relaxed_pose(PERSON)
+    pose = pose._replace(angles=pose.angles.at[rows].set(angles))
+    hung = hang(PERSON, pose, GRIPS)
+    answers = jax.vmap(bent)(hung._replace(angles=before), hung.arms)
+    return forward(PERSON, pose).joints_world, answers
+
+
 # Decisions ---------------------------------------------------------------------------------------
 
 
@@ -170,10 +198,11 @@ def test_goals_lead_a_solve_out_of_a_valley_that_it_would_not_leave_alone():
     assert actual.cost < 0.8 * alone.cost
 
 
-def test_a_forearm_that_points_the_other_way_is_turned_to_its_goals_before_a_solve():
+@pytest.mark.parametrize(("degrees", "most"), [(-120.0, 0.08), (180.0, 0.15)])
+def test_a_forearm_that_points_the_other_way_is_turned_to_its_goals_before_a_solve(degrees, most):
     """With one hand unmarked for two seconds the other elbow stayed 45 cm off for one."""
     given = problem(COUNT, views(COUNT))
-    start = Trajectory(with_arms_turned((0, -150, 0)), NO_CHANGE)
+    start = Trajectory(with_arms_turned((0, degrees, 0)), NO_CHANGE)
     path = elbow_path(given, start)
     there = turn_arms_along(MODEL, start, path)
     apart = points_of(there.poses)[:, ELBOWS] - path.goals
@@ -181,7 +210,16 @@ def test_a_forearm_that_points_the_other_way_is_turned_to_its_goals_before_a_sol
     guided = given.with_measured(elbows=path.goals)
     pulled, put = (smooth_poses(guided, each, (1.5,)).trajectory for each in (start, there))
     left, led = (off(points_of(each.poses)[:, ELBOWS])[:, 1] for each in (pulled, put))
-    assert left.max() > 0.2 and led.max() < 0.08
+    assert 2 * led.max() < left.max() and led.max() < most
+
+
+@pytest.mark.parametrize("led_astray", [False, True])
+def test_an_arm_stays_wherever_following_the_path_costs_more(led_astray):
+    """A raised arm that was right was led 28 cm off for 0.4 s."""
+    each = [Trajectory(poses, NO_CHANGE) for poses in (truth(COUNT), swivelled((0.0, 140.0)))]
+    wrong = off(points_of(each[1].poses)[:, ELBOWS])[:, 1]
+    actual = cheaper_by_stretch(problem(COUNT, views(COUNT)), *(each if led_astray else each[::-1]))
+    assert wrong.min() > 0.3 and off(points_of(actual.poses)[:, ELBOWS]).max() < 0.1
 
 
 @pytest.mark.parametrize("degrees", [(0, -90), (70, 70)])
