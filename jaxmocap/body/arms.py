@@ -244,8 +244,7 @@ def bent(hung: Hung, arm: Arms) -> Array:
     local = _upright(local_upper, axis)
     R_world_humerus = compose(_upright(upper, across).T, local)
     R = compose(hung.R_world_carrier.T, R_world_humerus)
-    shoulder = reachable_hinges(R, hung.axes[:3], hung.angles[:3], hung.limits[:3])
-    return jnp.append(shoulder, elbow)
+    return jnp.append(reachable_hinges(R, hung.axes[:3], hung.angles[:3], hung.limits[:3]), elbow)
 
 
 def _upright(along: Array, across: Array) -> Array:

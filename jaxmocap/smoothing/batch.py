@@ -39,13 +39,7 @@ from jaxmocap.images.foreground import is_blank, shrink
 from jaxmocap.images.silhouette_grid import blur_grid
 from jaxmocap.smoothing.elbow_viterbi import elbow_path, turn_arms_along
 from jaxmocap.smoothing.facing import facing_in_time, references
-from jaxmocap.smoothing.linearise import (
-    linearise_problem,
-    rows_of,
-    smooth_poses,
-    soften_grids,
-    two_workers,
-)
+from jaxmocap.smoothing.linearise import rows_of, smooth_poses
 from jaxmocap.smoothing.problem import (
     TURN,
     UNTURNED,
@@ -227,26 +221,21 @@ def cheaper_by_stretch(
     """
     if not _apart(*(_elbows_of(problem, each) for each in (before, led))).any():
         return led
-    each = [smooth_poses(problem, start, DECIDING, PREPARED).trajectory for start in (before, led)]
-    soft = soften_grids(problem, DECIDING[-1])
-    with two_workers() as workers:
-        stayed, moved = (linearise_problem(soft, DECIDING[-1], workers, one) for one in each)
-    apart = _apart(*(_elbows_of(problem, one) for one in each))
+    each = [smooth_poses(problem, start, DECIDING, PREPARED) for start in (before, led)]
+    stayed, moved = (one.trajectory for one in each)
+    apart = _apart(*(_elbows_of(problem, one) for one in (stayed, moved)))
     stretches, count = label(binary_dilation(apart, iterations=BESIDE))  # type: ignore[misc]
     keeps = np.zeros(len(apart), bool)
     for number in range(1, count + 1):
         rows = np.flatnonzero(stretches == number)
         prior = replace(problem, times=problem.times[rows]).motion_prior()
-        costs = [
-            np.asarray(one.cost)[rows].sum() + prior.cost(np.asarray(one.points, float)[rows])
-            for one in (stayed, moved)
-        ]
+        costs = [one.costs[rows].sum() + prior.cost(one.points[rows].astype(float)) for one in each]
         keeps[rows] = costs[0] < costs[1]
 
     def chosen(kept: np.ndarray, other: np.ndarray) -> np.ndarray:
         return np.where(keeps.reshape(-1, *[1] * (np.ndim(kept) - 1)), kept, other)
 
-    return each[1]._replace(poses=jax.tree.map(chosen, each[0].poses, each[1].poses))
+    return moved._replace(poses=jax.tree.map(chosen, stayed.poses, moved.poses))
 
 
 def _elbows_of(problem: SmoothingProblem, trajectory: Trajectory) -> np.ndarray:

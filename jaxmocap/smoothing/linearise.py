@@ -60,6 +60,8 @@ class SmoothedPoses(NamedTuple):
     trajectory: Trajectory  # poses and what they share
     cost: float  # of all residuals and the prior
     status: Status  # why the solve ended
+    costs: np.ndarray  # (T,) of each event's residuals
+    points: np.ndarray  # (T, 3 L) landmarks, world, metres
 
 
 def smooth_poses(
@@ -89,7 +91,8 @@ def smooth_poses(
             ended = minimise(linearise, move_trajectory, trajectory, prior, solver)
             trajectory = ended.x
     assert ended is not None
-    return SmoothedPoses(trajectory, ended.cost, ended.status)
+    each, points = (np.asarray(part) for part in (ended.linear.cost, ended.linear.points))
+    return SmoothedPoses(trajectory, ended.cost, ended.status, each, points)
 
 
 @contextmanager
