@@ -11,19 +11,19 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Frames, Sites, forward, site_positions
-from jaxmocap.body.pose import Pose, beyond_limits
+from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, landmark_rows
 from jaxmocap.body.surfaces.cones import Cones
 from jaxmocap.body.tree import Tree
 from jaxmocap.compilation.arrays import Numbers, namespace
 from jaxmocap.geometry.rotations import (
     about_axis,
-    both_hinges,
     compose,
     cross,
     exp,
     nearest_hinges,
     quaternion_log,
+    reachable_hinges,
     rotate,
 )
 
@@ -91,8 +91,6 @@ def arms_of(skeleton: Skeleton, frames: Frames, grip_sites: Sites) -> Arms:
 # Directions in which a search turns a forearm about its grip, seen from where markers put it.
 FARTHEST_TURN_DEG = 75.0
 TURN_SPACING_DEG = 10.0
-# Angles of a shoulder keep to its limits where they are beyond them by less, radians in all.
-BEYOND_RAD = 0.1
 
 
 def forearm_turns() -> np.ndarray:
@@ -114,6 +112,8 @@ TURNS = forearm_turns()
 # none, the shoulder with all of the arm, and the elbow with the forearm.
 GRIP, SHOULDER, ELBOW = range(3)
 AT_GRIPS = np.array([GRIP, GRIP], np.int32)
+# About angles, nothing lies beyond, radians.
+ENDLESS = 100.0
 
 
 def unmarked_arms(tree: Tree, markers: Sites, points: Numbers) -> Numbers:
@@ -137,7 +137,7 @@ class Hung(NamedTuple):
     angles: Array  # (2, 4) of the pose, shoulder to elbow, radians
     R_world_carrier: Array  # (2, 3, 3) orientations of the clavicles
     axes: Array  # (2, 4, 3) hinge axes, shoulder to elbow, each in the frame its predecessors leave
-    limits: Array  # (2, 4, 2) smallest and largest angles, radians
+    limits: Array  # (2, 4, 2) that decide between two answers, radians
     reaches: Array  # (2, 3, 3) vectors along humerus, radius and hand, each in its bone's frame
     grip: Array  # (2, 3) in the forearm's frame, from the elbow
     arms: Arms  # at the pose that the trunk was taken from, with their pivots for grips
@@ -151,11 +151,21 @@ def arm_dofs(tree: Tree) -> np.ndarray:
 
 
 def hang(
-    skeleton: Skeleton, pose: Pose, grip_sites: Sites, pivots: Array | np.ndarray = AT_GRIPS
+    skeleton: Skeleton,
+    pose: Pose,
+    grip_sites: Sites,
+    pivots: Array | np.ndarray = AT_GRIPS,
+    limited: bool = True,
 ) -> Hung:
-    """The arms of a pose, ready to be moved by their own joints alone, or about pivots (2,)."""
+    """The arms of a pose, ready to be moved by their own joints alone, or about pivots (2,).
+
+    Of the two ways to write a shoulder's rotation the one within its limits counts, where these
+    are ``limited`` and the other is not; else the one nearer to the pose's.
+    """
     bones, dofs = limb_bones(skeleton.tree), arm_dofs(skeleton.tree)
-    frames = forward(skeleton, pose)
+    limits, frames = skeleton.limits[dofs], forward(skeleton, pose)
+    if not limited:
+        limits = pose.angles[dofs][..., None] + jnp.asarray([-ENDLESS, ENDLESS], limits.dtype)
     arms = arms_of(skeleton, frames, grip_sites)
     carriers = np.array(skeleton.tree.parents, np.int32)[bones[:, 0]]
     reaches = skeleton.lengths[bones][..., None] * skeleton.directions[bones]
@@ -171,7 +181,7 @@ def hang(
         pose.angles[dofs],
         frames.R_world_bone[carriers],
         skeleton.axes[dofs],
-        skeleton.limits[dofs],
+        limits,
         reaches,
         rotate(to_radius, arms.grip - arms.elbow),
         with_pivots(arms, pivots),
@@ -215,19 +225,6 @@ def swing(hung: Hung, moves: Array) -> tuple[Arms, Array]:
     R_local = compose(hung.R_world_carrier.swapaxes(-1, -2), compose(R_swing, R_world_humerus))
     turned = jax.vmap(nearest_hinges)(R_local, hung.axes[:, :3], angles[:, :3])
     return arms, jnp.concatenate([turned, angles[:, 3:]], -1)
-
-
-def reachable_hinges(R: Array, axes: Array, near: Array, limits: Array) -> Array:
-    """Angles (3,) of the hinges that make up ``R``, of both answers the one within limits (3, 2).
-
-    An arm that is raised beyond the level has one answer within them and one far beyond. Where
-    both keep to them, or neither does, it is the one nearer to ``near``.
-    """
-    answers = both_hinges(R, axes, jnp.mean(limits, -1))
-    within = jnp.sum(beyond_limits(limits, answers), -1) < BEYOND_RAD
-    away = jnp.sum((answers - near) ** 2, -1)
-    is_first = jnp.where(within[0] == within[1], away[0] <= away[1], within[0])
-    return jnp.where(is_first, answers[0], answers[1])
 
 
 def bent(hung: Hung, arm: Arms) -> Array:
@@ -314,9 +311,11 @@ def turn_pose(
     grip_sites: Sites,
     turns: Array,
     pivots: Array | np.ndarray = AT_GRIPS,
+    limited: bool = True,
 ) -> Pose:
     """A pose whose arms turn about their pivots by (2, 3), radians; 0 leaves an arm alone."""
-    hung, dofs = hang(skeleton, pose, grip_sites, pivots), arm_dofs(skeleton.tree)
+    hung = hang(skeleton, pose, grip_sites, pivots, limited)
+    dofs = arm_dofs(skeleton.tree)
     angles = jax.vmap(bent)(hung, jax.vmap(_turn_arm)(hung.arms, turns)[0])
     moves = jnp.any(turns != 0, -1, keepdims=True)
     return pose._replace(

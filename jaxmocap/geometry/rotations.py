@@ -15,6 +15,8 @@ from jaxmocap.compilation.arrays import Numbers, namespace
 
 # Products of rotations run at full float32: a GPU's TF32 would cost millimetres at the hand.
 HIGHEST = jax.lax.Precision.HIGHEST
+# Angles keep to their limits where they are beyond them by less, radians in all.
+BEYOND_RAD = 0.1
 
 
 def compose(R_a_b: Numbers, R_b_c: Numbers) -> Numbers:
@@ -166,3 +168,17 @@ def nearest_hinges(R: Array, axes: Array, near: Array) -> Array:
     first, second = both_hinges(R, axes, near)
     is_first = jnp.sum((first - near) ** 2) <= jnp.sum((second - near) ** 2)
     return jnp.where(is_first, first, second)
+
+
+def reachable_hinges(R: Array, axes: Array, near: Array, limits: Array) -> Array:
+    """Angles (3,) of the hinges that make up ``R``, of both answers the one within limits (3, 2).
+
+    An arm that is raised beyond the level has one answer within them and one far beyond. Where
+    both keep to them, or neither does, it is the one nearer to ``near``.
+    """
+    answers, (low, high) = both_hinges(R, axes, jnp.mean(limits, -1)), limits.T
+    beyond = jnp.maximum(low - answers, 0.0) + jnp.maximum(answers - high, 0.0)
+    within = jnp.sum(beyond, -1) < BEYOND_RAD
+    away = jnp.sum((answers - near) ** 2, -1)
+    is_first = jnp.where(within[0] == within[1], away[0] <= away[1], within[0])
+    return jnp.where(is_first, answers[0], answers[1])

@@ -167,18 +167,18 @@ def price_off_lines(elbows: Array, lines: SightLines, deviation: Array) -> Array
 
 
 def candidates(
-    model: Model, settings: ElbowPathSettings, poses: Pose, pivots: Array
+    model: Model, settings: ElbowPathSettings, poses: Pose, pivots: Array, limited: bool = True
 ) -> tuple[Arms, Array]:
     """Arms (B, 2, K) of a batch of poses, and what they cost by themselves (B, 2, K), nats.
 
-    ``pivots`` (B, 2) are what they are turned about.
+    ``pivots`` (B, 2) are what they are turned about; ``limited`` as in ``hang``.
     """
     skeleton = model.skeleton
     dofs = arm_dofs(skeleton.tree)
     ranges, usual = skeleton.limits[dofs], skeleton.usual_deviations[dofs]
 
     def of_pose(pose: Pose, at: Array) -> tuple[Arms, Array]:
-        hung = hang(skeleton, pose, model.grips, at)
+        hung = hang(skeleton, pose, model.grips, at, limited)
         arms, slack = turn_arms(hung.arms)
         angles = turned_angles(hung, arms)
         away = (angles - skeleton.relaxed[dofs][:, None]) / usual[:, None]

@@ -68,7 +68,8 @@ def search_arms(
         pivots: (2,) about what the arms are turned.
     """
     one = jax.tree.map(lambda part: part[None], pose)
-    arms, own = candidates(model, settings.elbow_path, one, pivots[None])
+    # A window goes on from its own angles: to others raised arms were led astray.
+    arms, own = candidates(model, settings.elbow_path, one, pivots[None], limited=False)
     points, costs = jnp.stack([arms.elbow, arms.wrist, arms.tip], 3)[0], own[0]
     coarse, soft = grids.halve(), jnp.asarray(SOFTNESS, pose.angles.dtype)
 
@@ -105,6 +106,8 @@ def with_arm_there(model: Model, poses: Array, found: ArmSearch, unmarked: Array
 
     def one(packed: Array, turned: Array) -> Array:
         own = jnp.where(turned[:, None], turns, 0.0)
-        return pack(turn_pose(model.skeleton, unpack(packed), model.grips, own, found.pivots))
+        before = unpack(packed)
+        after = turn_pose(model.skeleton, before, model.grips, own, found.pivots, limited=False)
+        return pack(after)
 
     return jax.vmap(one)(poses, is_turned)
