@@ -59,7 +59,7 @@ def smoothed(shown=None, measured=None, count: int = COUNT) -> SmoothedRun:
     ended = smooth_poses(given, disturbed(count), SOFTNESS)
     sure = with_deviations(given, ended.trajectory, SOFTNESS[-1])
     assert sure.deviations is not None and sure.from_prior is not None
-    return SmoothedRun(*ended, sure.deviations, sure.from_prior)
+    return SmoothedRun(*ended[:3], sure.deviations, sure.from_prior)
 
 
 def elbow_spread(actual: SmoothedRun) -> np.ndarray:
