@@ -23,7 +23,6 @@ from jaxmocap.geometry.rotations import (
     exp,
     nearest_hinges,
     quaternion_log,
-    reachable_hinges,
     rotate,
 )
 
@@ -112,8 +111,6 @@ TURNS = forearm_turns()
 # none, the shoulder with all of the arm, and the elbow with the forearm.
 GRIP, SHOULDER, ELBOW = range(3)
 AT_GRIPS = np.array([GRIP, GRIP], np.int32)
-# About angles, nothing lies beyond, radians.
-ENDLESS = 100.0
 
 
 def unmarked_arms(tree: Tree, markers: Sites, points: Numbers) -> Numbers:
@@ -137,7 +134,7 @@ class Hung(NamedTuple):
     angles: Array  # (2, 4) of the pose, shoulder to elbow, radians
     R_world_carrier: Array  # (2, 3, 3) orientations of the clavicles
     axes: Array  # (2, 4, 3) hinge axes, shoulder to elbow, each in the frame its predecessors leave
-    limits: Array  # (2, 4, 2) that decide between two answers, radians
+    limits: Array | None  # (2, 4, 2) that decide between two answers, radians; or none do
     reaches: Array  # (2, 3, 3) vectors along humerus, radius and hand, each in its bone's frame
     grip: Array  # (2, 3) in the forearm's frame, from the elbow
     arms: Arms  # at the pose that the trunk was taken from, with their pivots for grips
@@ -163,9 +160,7 @@ def hang(
     are ``limited`` and the other is not; else the one nearer to the pose's.
     """
     bones, dofs = limb_bones(skeleton.tree), arm_dofs(skeleton.tree)
-    limits, frames = skeleton.limits[dofs], forward(skeleton, pose)
-    if not limited:
-        limits = pose.angles[dofs][..., None] + jnp.asarray([-ENDLESS, ENDLESS], limits.dtype)
+    frames = forward(skeleton, pose)
     arms = arms_of(skeleton, frames, grip_sites)
     carriers = np.array(skeleton.tree.parents, np.int32)[bones[:, 0]]
     reaches = skeleton.lengths[bones][..., None] * skeleton.directions[bones]
@@ -181,7 +176,7 @@ def hang(
         pose.angles[dofs],
         frames.R_world_bone[carriers],
         skeleton.axes[dofs],
-        limits,
+        skeleton.limits[dofs] if limited else None,
         reaches,
         rotate(to_radius, arms.grip - arms.elbow),
         with_pivots(arms, pivots),
@@ -241,7 +236,8 @@ def bent(hung: Hung, arm: Arms) -> Array:
     local = _upright(local_upper, axis)
     R_world_humerus = compose(_upright(upper, across).T, local)
     R = compose(hung.R_world_carrier.T, R_world_humerus)
-    return jnp.append(reachable_hinges(R, hung.axes[:3], hung.angles[:3], hung.limits[:3]), elbow)
+    limits = None if hung.limits is None else hung.limits[:3]
+    return jnp.append(nearest_hinges(R, hung.axes[:3], hung.angles[:3], limits), elbow)
 
 
 def _upright(along: Array, across: Array) -> Array:

@@ -156,29 +156,21 @@ def hinges_from_matrix(R: Array, axes: Array) -> Array:
     return handed * jnp.stack([first, second, third])
 
 
-def both_hinges(R: Array, axes: Array, about: Array) -> Array:
-    """Both answers (2, 3) of ``hinges_from_matrix``, each angle within half a turn of ``about``."""
+def nearest_hinges(R: Array, axes: Array, near: Array, limits: Array | None = None) -> Array:
+    """Angles (3,) of the hinges that make up ``R``, of both answers the one nearer to ``near``.
+
+    With limits (3, 2), where one answer keeps to them and the other does not, it is that one: an
+    arm that is raised beyond the level has one within them and one far beyond.
+    """
     one = hinges_from_matrix(R, axes)
     other = jnp.stack([one[0] + jnp.pi, jnp.pi - one[1], one[2] + jnp.pi])
-    return about + (jnp.stack([one, other]) - about + jnp.pi) % (2 * jnp.pi) - jnp.pi
-
-
-def nearest_hinges(R: Array, axes: Array, near: Array) -> Array:
-    """Angles (3,) of the hinges that make up ``R``, of both answers the one nearer to ``near``."""
-    first, second = both_hinges(R, axes, near)
-    is_first = jnp.sum((first - near) ** 2) <= jnp.sum((second - near) ** 2)
-    return jnp.where(is_first, first, second)
-
-
-def reachable_hinges(R: Array, axes: Array, near: Array, limits: Array) -> Array:
-    """Angles (3,) of the hinges that make up ``R``, of both answers the one within limits (3, 2).
-
-    An arm that is raised beyond the level has one answer within them and one far beyond. Where
-    both keep to them, or neither does, it is the one nearer to ``near``.
-    """
-    answers, (low, high) = both_hinges(R, axes, jnp.mean(limits, -1)), limits.T
-    beyond = jnp.maximum(low - answers, 0.0) + jnp.maximum(answers - high, 0.0)
-    within = jnp.sum(beyond, -1) < BEYOND_RAD
+    about = near if limits is None else jnp.mean(limits, -1)
+    answers = about + (jnp.stack([one, other]) - about + jnp.pi) % (2 * jnp.pi) - jnp.pi
     away = jnp.sum((answers - near) ** 2, -1)
-    is_first = jnp.where(within[0] == within[1], away[0] <= away[1], within[0])
+    is_first = away[0] <= away[1]
+    if limits is not None:
+        low, high = limits.T
+        beyond = jnp.maximum(low - answers, 0.0) + jnp.maximum(answers - high, 0.0)
+        within = jnp.sum(beyond, -1) < BEYOND_RAD
+        is_first = jnp.where(within[0] == within[1], is_first, within[0])
     return jnp.where(is_first, answers[0], answers[1])

@@ -1,7 +1,7 @@
 """What OpenCV does with either kind of lens: project, find poses, calibrate.
 
-Of a plane seen with little perspective there are two poses that explain the picture almost equally
-well, mirror images of one another about the line of sight (Collins & Bartoli 2014, IPPE).
+Of a plane in little perspective there are two poses that explain the picture almost equally well,
+mirror images of one another about the camera's ray to it (Collins & Bartoli 2014, IPPE).
 
 INPUTS: points (metres, any frame), pixels, Intrinsics. OUTPUTS: pixels, derivatives; CameraPoses,
 the best first; a lens.
