@@ -1,8 +1,9 @@
-"""``python -m bench.stature person.npz [--people WHO,...] [--keep DIR]``: people by stature alone.
+"""``python -m bench.stature person.npz [--people WHO,...] [--sex]``: people by stature alone.
 
 People whose bodies are nobody's construction of ours do exercises before one camera, with markers
-at the vertex and both wrists. Of their bodies the recording states the stature and nothing else, as
-most users do. What is off is mostly where published proportions put their joints.
+at the vertex and both wrists. Of their bodies the recording states the stature, as most users do,
+and with --sex whether it is a man or a woman. What is off is mostly where published proportions put
+their joints.
 
 INPUTS: person.npz. OUTPUTS: mean position errors of joints, centimetres, a line for each clip;
 Metrics.
@@ -17,7 +18,7 @@ from bench.figures import Metric, write_json
 from jaxmocap.evaluation.errors import evaluate
 from jaxmocap.evaluation.tables import align_columns
 from jaxmocap.formats.cameras.calibration import write_calibration
-from jaxmocap.formats.recordings.recording import Recording, write_recording
+from jaxmocap.formats.recordings.recording import load_recording, write_recording
 from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -67,8 +68,14 @@ def render(folder: Path, file: Path, who: str, name: str, seed: int, seconds: fl
     write_calibration(folder / "calibration.toml", {view.name: view.camera})
     places = {marker: {"bone": bone, "at": 1.0} for marker, (_, bone) in MARKERS.items()}
     videos = [{"file": "cam_1.mp4", "camera": view.name}]
-    subject = {"height": stature(file, who)}
+    subject = described(file, who)
     return write_recording(folder, "markers.csv", places, videos, "calibration.toml", subject)
+
+
+def described(file: Path, who: str, sex: bool = False) -> dict[str, float | str]:
+    """A [subject]: the stature and, where asked for, the sex of who is called man or woman."""
+    stated = "female" if who.endswith("woman") else "male"
+    return {"height": stature(file, who)} | ({"sex": stated} if sex else {})
 
 
 def shown(frames, show, count: int):
@@ -85,12 +92,10 @@ def stature(file: Path, who: str) -> float:
         return round(float(np.ptp(arrays["vertices"][people.index(who)][:, 2])), 3)
 
 
-def measure(recording: Path) -> dict[str, float]:
-    """Mean position error of each kind of joint, metres."""
-    motion, truth = (
-        track(Recording.load(recording), progress=True),
-        recording.with_name("truth.trc"),
-    )
+def measure(recording: Path, subject: dict) -> dict[str, float]:
+    """Mean position error of each kind of joint, metres, of a person so described."""
+    motion = track(load_recording(recording, subject), progress=True)
+    truth = recording.with_name("truth.trc")
     return {
         joint: evaluate(motion, truth, {f"{joint}_{s}": f"{joint}_{s}" for s in "lr"}).mean
         for joint in JOINTS
@@ -102,6 +107,7 @@ def main() -> None:
     parser = command("bench.stature", __doc__)
     parser.add_argument("file", type=Path, help="person.npz")
     parser.add_argument("--people", metavar="WHO,...", help="default: all")
+    parser.add_argument("--sex", action="store_true", help="state it: man and woman of their names")
     parser.add_argument("--seconds", type=float, default=3.0, help="default: 3")
     parser.add_argument("--keep", metavar="DIR", help="where rendered recordings stay")
     options = parser.parse_args()
@@ -116,7 +122,8 @@ def main() -> None:
             for i, name in enumerate(EXERCISES):
                 folder = keep / f"{who}_{name}"
                 seed = 10 * everybody.index(who) + i
-                errors = measure(render(folder, options.file, who, name, seed, options.seconds))
+                clip = render(folder, options.file, who, name, seed, options.seconds)
+                errors = measure(clip, described(options.file, who, options.sex))
                 every.append([100 * errors[joint] for joint in JOINTS])
                 rows.append([who, name, *(f"{error:.1f}" for error in every[-1])])
     mean = np.mean(every, 0)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.body.skeleton import (
-    JOINT_CENTRES,
     LANDMARKS,
     LEAST_HEIGHT_M,
     MOST_HEIGHT_M,
@@ -25,6 +24,7 @@ from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.formats.recordings.subject import (
     person_table,
     read_subject,
+    stated_proportions,
     static_landmarks,
     write_subject,
 )
@@ -104,6 +104,7 @@ def scale_subject(
     up: str | None = None,
     mass: float | None = None,
     wrists: bool = False,
+    sex: str | None = None,
 ) -> ScaledBody:
     """Write a person's body by height (metres), or as they stand in a static trial, and by mass.
 
@@ -115,6 +116,7 @@ def scale_subject(
         up: the file's vertical axis, z by default.
         mass: kilograms.
         wrists: whether the body has them.
+        sex: "female" or "male", beside a height.
     """
     stated: dict[str, Any] = {"wrists": wrists} | ({} if mass is None else {"mass": mass})
     if static is None:
@@ -124,11 +126,14 @@ def scale_subject(
         if height is None:
             problem = "found no source, expected --height, --static or --recording"
             raise InputError("the person", problem)
-        skeleton = read_subject(Path("the person"), "", stated | {"height": height})
+        of_sex = {} if sex is None else {"sex": sex}
+        skeleton = read_subject(Path("the person"), "", {**stated, "height": height, **of_sex})
         measured = {}
     else:
         if height is not None:
             raise InputError(static, "found --height beside --static, expected one of them")
+        if sex is not None:
+            raise InputError(static, "found --sex beside --static, which measures the lengths")
         static = Path(static)
         marker_of = dict(landmarks or {})
         marker_of = marker_of or {n: n for n in read_markers(static).names if n in LANDMARKS}
@@ -142,7 +147,7 @@ def scale_subject(
         if not LEAST_HEIGHT_M <= height <= MOST_HEIGHT_M:
             expected = f"expected {LEAST_HEIGHT_M:g} to {MOST_HEIGHT_M:g} m: is its unit right?"
             raise InputError(static, f"shows a person {height:.3g} m tall, {expected}")
-    write_subject(out, skeleton, height)
+    write_subject(out, skeleton, height, sex=sex)
     return ScaledBody(skeleton, height, measured, Path(out))
 
 
@@ -160,8 +165,7 @@ def measured_bones(path: Path) -> tuple[str, ...]:
     if "height" not in fields:
         return tuple(lengths)
     # ``scale --height`` writes all lengths: those that follow are not measured.
-    proportions = fields.entries.get("proportions", JOINT_CENTRES)
-    usual = Skeleton.human(fields.number("height"), proportions=proportions)
+    usual = Skeleton.human(fields.number("height"), proportions=stated_proportions(fields))
     by_height = dict(zip(usual.tree.bones, np.asarray(usual.lengths, float), strict=True))
     return tuple(
         bone

@@ -9,7 +9,7 @@ from jaxmocap.body.kinematics import landmarks as landmarks_of
 from jaxmocap.body.model_files import proportions_of
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import JOINT_CENTRES, LANDMARKS, Skeleton, scale_to_height
-from jaxmocap.body.subject import scale_to_landmarks
+from jaxmocap.body.subject import scale_to_landmarks, skeleton_stature
 from jaxmocap.formats.time_series.trc import read_trc
 
 LANDMARKS_OF = jax.jit(landmarks_of)
@@ -106,8 +106,27 @@ def test_real_people_differ_from_their_statures_lengths_by_what_is_stated(record
     assert deviation / 3 < np.sqrt(np.mean(np.square(off))) < 1.3 * deviation
 
 
+@pytest.mark.parametrize(("sex", "legs", "shoulder"), [("female", -1, -1), ("male", 1, 1)])
+def test_a_stated_sex_moves_joints_as_published_tables_do(sex, legs, shoulder):
+    person, mean = Skeleton.human(1.7, proportions=sex), Skeleton.human(1.7)
+    assert skeleton_stature(person) == pytest.approx(1.7, abs=1e-5)
+    own, usual = standing(person), standing(mean)
+    thigh = length(person, "femur_l") / length(mean, "femur_l")
+    # Half of the tables' mean, which is a twentieth; and within a deviation of either.
+    assert np.log(thigh) == pytest.approx(legs * 0.0225, abs=0.002)
+    assert abs(np.log(thigh)) < proportions_of(JOINT_CENTRES)["deviation"]["thigh"]
+    broad = (own["shoulder_l"] - own["shoulder_r"])[1] / (
+        usual["shoulder_l"] - usual["shoulder_r"]
+    )[1]
+    assert np.log(broad) == pytest.approx(shoulder * 0.025, abs=0.002)
+    # What both have in the mean is what nobody's sex states.
+    both = [Skeleton.human(1.7, proportions=each).lengths for each in ("female", "male")]
+    np.testing.assert_allclose(np.mean(both, 0), mean.lengths, rtol=3e-3)
+
+
 def test_unknown_proportions_are_refused_by_name():
-    with pytest.raises(KeyError, match="found 'vitruvius', expected one of winter, joint_centres"):
+    found = "found 'vitruvius', expected one of winter, joint_centres, female, male"
+    with pytest.raises(KeyError, match=found):
         Skeleton.human(1.8, proportions="vitruvius")
 
 

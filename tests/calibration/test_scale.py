@@ -10,8 +10,9 @@ from conftest import complaint
 from jaxmocap import Recording
 from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton, with_wrists
 from jaxmocap.body.subject import bone_vectors, rest_joints
-from jaxmocap.calibration.static_trial import scale_subject
+from jaxmocap.calibration.static_trial import measured_bones, scale_subject
 from jaxmocap.cli.program import main
+from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.recordings.subject import read_subject, write_subject
 from jaxmocap.formats.time_series.trc import write_trc
@@ -114,6 +115,34 @@ def test_a_static_trial_says_what_each_length_rests_on(tmp_path, capsys):
     assert "in the proportions of the first paper" in printed.err
 
 
+def test_a_body_by_height_and_sex_keeps_both(tmp_path):
+    out = tmp_path / "subject.toml"
+    assert main(["scale", "--height", "1.70", "--sex", "male", "--out", str(out)]) == 0
+    assert tomllib.loads(out.read_text())["sex"] == "male"
+    usual = Skeleton.human(1.7, proportions="male")
+    np.testing.assert_allclose(read_back(out).lengths, usual.lengths, atol=2e-5)
+    # All of them follow: none is taken for a measured one.
+    write_trc(tmp_path / "markers.trc", np.zeros(1), {"Head": np.ones((1, 3))})
+    subject = {"file": "subject.toml"}
+    path = write_recording(tmp_path, "markers.trc", {"Head": {"bone": "head"}}, subject=subject)
+    assert measured_bones(path) == ()
+
+
+@pytest.mark.parametrize(
+    ("subject", "message"),
+    [
+        ({"height": 1.7, "sex": "other"}, "sex: found 'other', expected one of female, male"),
+        (
+            {"height": 1.7, "sex": "male", "proportions": "winter"},
+            "proportions: found beside sex, expected one of them",
+        ),
+    ],
+)
+def test_a_sex_that_is_no_table_is_refused(tmp_path, subject, message):
+    with pytest.raises(InputError, match=message):
+        read_subject(tmp_path / "recording.toml", "[subject]", subject)
+
+
 def test_check_lists_which_lengths_were_measured(tmp_path, capsys):
     landmarks = {name: np.tile(at, (5, 1)) for name, at in standing(Skeleton.human(1.70)).items()}
     required = ("neck", "shoulder_l", "shoulder_r", "hip_l", "hip_r")
@@ -178,6 +207,8 @@ def test_the_command_refuses_in_one_sentence(tmp_path, refusal):
         ([], "expected --height, --static or --recording"),
         (["--height", "1.8", "--static", "a.trc"], "a.trc: found --height beside --static"),
         (["--recording", "a.toml", "--up", "y"], "do not go with --recording"),
+        (["--static", "a.trc", "--sex", "male"], "a.trc: found --sex beside --static"),
+        (["--recording", "a.toml", "--sex", "male"], "a.toml: found --sex without --height"),
         (["--height", "3"], "the person: height = 3.0: expected metres between 0.5 and 2.5"),
         (["--static", str(tmp_path / "none.trc")], "no such file"),
         (["--static", "a.trc", "--landmarks", "neck=A", "neck=B"], "found neck twice"),

@@ -36,6 +36,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="markers on head and hands, and video, of the arms stretched, swung and bent",
     )
     add("--mass", metavar="KG", type=positive_number, help="kilograms; default: 23 kg/m²")
+    add("--sex", choices=("female", "male"), help="with --height; default: the mean of both")
     add(
         "--landmarks",
         metavar="LANDMARK=MARKER",
@@ -68,6 +69,7 @@ def run(options: argparse.Namespace) -> None:
             options.up,
             options.mass,
             options.wrists,
+            options.sex,
         )
     elif options.landmarks or options.up or options.wrists:
         stated = "--landmarks, --up and --wrists do not go with --recording, whose file states them"
@@ -83,6 +85,6 @@ def run(options: argparse.Namespace) -> None:
         from jaxmocap.pipelines.scaling.fit_lengths import scale_by_recording
 
         keep_compiled()
-        chosen = options.recording, options.height, options.mass
+        chosen = options.recording, options.height, options.mass, options.sex
         body = scale_by_recording(options.out, *chosen, progress=True)
     report(options, body.text(), body.figures())

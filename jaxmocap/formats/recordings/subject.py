@@ -1,6 +1,6 @@
 """The [subject] of a recording: whose body it is.
 
-INPUTS: a table with ``height`` (and ``mass``), or ``static`` (a marker file of the person
+INPUTS: a table with ``height`` (and ``mass``, ``sex``), or ``static`` (a marker file of the person
 standing), ``up`` or ``to_world``, and ``landmarks``; or ``file``, a TOML file of these keys. With
 ``wrists = true`` the body has rotation of the neck, twist of the forearms and wrists as well; that
 is the default where a marker on head or hands measures an orientation.
@@ -25,7 +25,9 @@ from jaxmocap.formats.files.toml import TomlTable, read_toml, write_toml
 from jaxmocap.formats.time_series.axes import read_axes, to_world
 from jaxmocap.formats.time_series.markers import read_markers
 
-_HEIGHT_KEYS = ("height", "mass", "proportions", "bones")
+_HEIGHT_KEYS = ("height", "mass", "sex", "proportions", "bones")
+# Whose bodies ``proportions.toml`` has.
+SEXES = ("female", "male")
 # Lengths that a bone may have, metres.
 LENGTH_RANGE_M = (0.01, 1.0)
 # Masses that a bone may have, kilograms.
@@ -57,7 +59,7 @@ def read_subject(path: Path, where: str, table: Any, wrists: bool = False) -> Sk
     It has wrists where the table or its file states them, or by ``wrists`` where neither does.
     InputError for a field that is missing, unknown or does not fit.
     """
-    keys = ("file", "height", *_STATIC_KEYS, "proportions", "bones", "wrists")
+    keys = ("file", *_HEIGHT_KEYS, *_STATIC_KEYS, "wrists")
     fields = TomlTable(path, where, table, keys)
     usual = fields.flag("wrists", wrists)
     rest = {key: value for key, value in fields.entries.items() if key != "wrists"}
@@ -88,7 +90,7 @@ def person_table(path: Path) -> TomlTable:
 def _by_height(fields: TomlTable) -> Skeleton:
     height = fields.number("height")
     mass = fields.number("mass") if "mass" in fields else None
-    proportions = fields.text("proportions") if "proportions" in fields else JOINT_CENTRES
+    proportions = stated_proportions(fields)
     try:
         skeleton = Skeleton.human(height, mass, proportions)
     except ValueError as error:
@@ -97,6 +99,16 @@ def _by_height(fields: TomlTable) -> Skeleton:
         raise fields.error("proportions", error.args[0]) from None
     where = " ".join(filter(None, [fields.where, "bones"]))
     return _with_bones(skeleton, TomlTable(fields.path, where, fields.entries.get("bones", {})))
+
+
+def stated_proportions(fields: TomlTable) -> str:
+    """By which table of ``proportions.toml`` a [subject]'s lengths follow from its height."""
+    if "sex" not in fields:
+        return fields.text("proportions") if "proportions" in fields else JOINT_CENTRES
+    sex = fields.choice("sex", SEXES)
+    if "proportions" in fields:
+        raise fields.error("proportions", "found beside sex, expected one of them")
+    return sex
 
 
 def _with_bones(skeleton: Skeleton, bones: TomlTable) -> Skeleton:
@@ -146,11 +158,18 @@ def check_replaceable(path: Path) -> None:
 
 
 def write_subject(
-    path: str | Path, skeleton: Skeleton, height: float, comments: Sequence[str] = ()
+    path: str | Path,
+    skeleton: Skeleton,
+    height: float,
+    comments: Sequence[str] = (),
+    sex: str | None = None,
 ) -> None:
-    """Write a body's bones to a file for [subject]: what it leaves open follows from the height."""
+    """Write a body's bones to a file for [subject]: what it leaves open follows from the height.
+
+    And from the sex, where it is stated.
+    """
     masses = np.asarray(skeleton.masses, float)
-    usual = Skeleton.human(height)
+    usual = Skeleton.human(height, proportions=sex or JOINT_CENTRES)
     entries = {}
     for i, name in enumerate(skeleton.tree.bones):
         entry: dict[str, Any] = {"length": round(float(skeleton.lengths[i]), 6)}
@@ -160,6 +179,8 @@ def write_subject(
             entry["direction"] = [round(float(part), 6) for part in skeleton.directions[i]]
         entries[name] = entry
     top: dict[str, Any] = {"height": round(height, 4), "mass": round(float(masses.sum()), 3)}
+    if sex is not None:
+        top["sex"] = sex
     if skeleton.tree.joints != usual.tree.joints:
         top["wrists"] = True
     title = "# Metres and kilograms; what is not stated of a bone follows from height and mass."

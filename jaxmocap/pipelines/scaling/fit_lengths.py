@@ -19,6 +19,7 @@ from jaxmocap.calibration.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.capture.footage import cached_frames, forward_readers
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.appearance.learned import ROWS
+from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.recordings.subject import write_subject
 from jaxmocap.hybrid.tracker import HybridTracker
@@ -42,17 +43,18 @@ def scale_by_recording(
     path: str | Path,
     height: float | None = None,
     mass: float | None = None,
+    sex: str | None = None,
     progress: Progress | bool | None = None,
 ) -> LengthsReport:
     """Write the body of the person in a recording, and beside it a picture of the estimates.
 
-    The lengths start from its [subject], or from a height (metres) and a mass (kilograms). The
-    picture is named as ``out`` is, and ends in .png.
+    The lengths start from its [subject], or from a height (metres), a mass (kilograms)
+    and a sex ("female" or "male"). The picture is named as ``out`` is, and ends in .png.
 
     Raises:
         InputError: a recording that cannot determine lengths; what ``track`` would refuse.
     """
-    recording = _load(path, height, mass)
+    recording = _load(path, height, mass, sex)
     fit = fit_recording(recording, progress)
     stated = recording.skeleton
     # The girths are those of clothes and headset, which the file is not to hold.
@@ -60,7 +62,7 @@ def scale_by_recording(
     person = scale_skeleton(stated, jnp.asarray(lengths, stated.lengths.dtype))
     tall = skeleton_stature(stated) if height is None else height
     report = LengthsReport.of(stated, person, tall, fit, Path(out))
-    write_subject(out, person, tall, report.lines())
+    write_subject(out, person, tall, report.lines(), sex)
     plot_lengths(report.picture, report.lengths, f"Lengths from {Path(path).name}")
     return report
 
@@ -89,10 +91,13 @@ def fit_recording(recording: Recording, progress: Progress | bool | None = None)
     return fit
 
 
-def _load(path: str | Path, height: float | None, mass: float | None) -> Recording:
-    """The recording of a person of that height and mass, where they are given."""
+def _load(path: str | Path, height: float | None, mass: float | None, sex: str | None) -> Recording:
+    """The recording of a person of that height, mass and sex, where they are stated."""
     if height is not None:
-        return load_recording(path, {"height": height} | ({} if mass is None else {"mass": mass}))
+        subject = {"height": height, "mass": mass, "sex": sex}
+        return load_recording(path, {key: v for key, v in subject.items() if v is not None})
+    if sex is not None:
+        raise InputError(path, "found --sex without --height, expected it in [subject]")
     recording = load_recording(path)
     if mass is None:
         return recording
