@@ -28,7 +28,7 @@ from bench import command, kept, seeds
 from bench.clips import AZIMUTHS, Clip, real, synthetic
 from bench.figures import Metric, write_json
 from jaxmocap.body.model import Model, marker_sites
-from jaxmocap.body.motion import Motion
+from jaxmocap.body.motion import Motion, Run
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.keypoints import open_keypoints
 from jaxmocap.capture.markers import interpolate_markers
@@ -201,7 +201,7 @@ class FirstRun:
     def tracked(self, smoothed: Trajectory | None = None) -> tuple[Motion, Motion]:
         """By what a second pass estimated, or by the first pass alone; and without the video."""
         trajectory = smoothed or steps_as_trajectory(self.first_pass)
-        return motions(self.tracker.model, self.events, self.first_pass, trajectory, {}, {})
+        return motions(self.tracker.model, self.events, self.first_pass, trajectory, {}, Run())
 
 
 def measure(clip: Clip, quick: bool, folder: Path) -> Iterator[tuple[str, np.ndarray]]:

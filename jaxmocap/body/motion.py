@@ -21,11 +21,41 @@ from jaxmocap.geometry.rows import Index
 
 # A report's arrays with a row for each sample.
 SAMPLED = ("marker_errors", "arm_costs", "swivels", "landmarks_std", "from_prior")
+# What files have of a ``Run`` by silhouettes, in this order.
+BY_SILHOUETTES = (
+    *("recording", "cameras", "markers", "deviations"),
+    *("warnings", "tracker", "video_frames", "seconds"),
+)
 # A landmark whose standard deviation over the three axes is larger, metres, is stated as one that
 # nothing determines.
 UNDETERMINED_M = 0.15
 # Poses in one call of a function over a motion, at least and at most.
 FEWEST, MOST = 64, 16384
+
+
+@dataclass(frozen=True)
+class Run:
+    """What was tracked, and how: the "settings" of report.json."""
+
+    recording: str = ""  # its path, or its name
+    mode: str | None = None  # of the video's frames, see ``track``; None by silhouettes
+    cameras: tuple[str, ...] = ()  # their names
+    markers: tuple[str, ...] = ()  # theirs
+    warnings: tuple[str, ...] = ()
+    filters: dict[str, Any] = field(default_factory=dict)  # which were on, what they changed
+    tracker: dict[str, Any] = field(default_factory=dict)  # its settings
+    camera_turns_deg: dict[str, list[float]] = field(default_factory=dict)  # in its own frame
+    deviations_without_m: dict[str, dict[str, float]] = field(default_factory=dict)  # by landmark
+    deviations: dict[str, str | None] = field(default_factory=dict)  # whom they were calibrated on
+    latency: dict[str, float] = field(default_factory=dict)  # within which poses are given out
+    video_frames: int = 0  # instants of the videos that were used
+    seconds: dict[str, float] = field(default_factory=dict)  # of each pass
+    fitted: str | None = None  # to markers that determine the body; None where they do not
+
+    def as_dict(self) -> dict[str, Any]:
+        """As report.json and motion.npz have it."""
+        names = BY_SILHOUETTES if self.mode is None else vars(self)
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
 
 
 @dataclass(frozen=True)
@@ -46,7 +76,7 @@ class Report:
             determining much of it, else 0; NaN where it was not estimated.
         statuses: T tuples of sentences; empty where there is no warning.
         milliseconds: stage -> times of its calls.
-        settings: of the tracker.
+        run: what was tracked, and how.
     """
 
     markers: tuple[str, ...]
@@ -57,7 +87,7 @@ class Report:
     from_prior: np.ndarray
     statuses: tuple[tuple[str, ...], ...]
     milliseconds: dict[str, np.ndarray] = field(default_factory=dict)
-    settings: dict = field(default_factory=dict)
+    run: Run = field(default_factory=Run)
 
     @property
     def elbow_deviations(self) -> np.ndarray:

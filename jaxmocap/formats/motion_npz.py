@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.body.model_files import HUMAN, bodies, joints_of_models, read_model
-from jaxmocap.body.motion import Motion, Report, near_origin
+from jaxmocap.body.motion import SAMPLED, Motion, Report, Run, near_origin
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, joint_columns, load_skeleton
 from jaxmocap.body.tree import ROOT_DOF, Tree
@@ -27,7 +27,6 @@ from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import FARTHEST_M, check_times
 
 VERSION = 2
-_REPORT_FIELDS = ("marker_errors", "arm_costs", "swivels", "landmarks_std", "from_prior")
 _STAGE_PREFIX = "milliseconds."
 
 # Beyond these no number is a person's: metres of a bone, kilograms, radians, seconds.
@@ -41,6 +40,14 @@ _UNIT_TOLERANCE = 1e-3
 _MAX_STATUS_CHARACTERS = 2**25
 # Characters of the settings.
 _MAX_SETTINGS_CHARACTERS = 2**22
+# A default of the settings -> what JSON has for such; None is of a text that may be missing.
+_JSON_KINDS = {
+    dict: (dict, "a JSON table"),
+    tuple: (list, "a JSON list"),
+    int: (int, "a whole number"),
+    str: (str, "a text"),
+    type(None): (str, "a text"),
+}
 
 # What a file holds of the skeleton; the rest follows from the joints' names.
 _BODY_SPECS = {
@@ -93,13 +100,13 @@ def save_motion(path: str | Path, motion: Motion) -> None:
     for part, specs in ((skeleton, _BODY_SPECS), (tree, _TREE_SPECS)):
         arrays |= {name: getattr(part, name.partition(".")[2]) for name in specs}
     if (report := motion.report) is not None:
-        arrays |= {f"report.{name}": getattr(report, name) for name in _REPORT_FIELDS}
+        arrays |= {f"report.{name}": getattr(report, name) for name in SAMPLED}
         arrays |= {f"{_STAGE_PREFIX}{stage}": times for stage, times in report.milliseconds.items()}
         arrays["report.markers"] = np.array(report.markers, str)
         arrays["report.statuses"] = _statuses_text(report.statuses)
         # Arrays as lists; what else JSON has no word for as text.
         arrays["report.settings"] = json.dumps(
-            report.settings,
+            report.run.as_dict(),
             default=lambda value: value.tolist() if hasattr(value, "tolist") else str(value),
         )
     with replacing(path) as temporary, temporary.open("wb") as file:
@@ -205,18 +212,32 @@ def _report(file: NpzArrays, count: int) -> Report:
             problem = f"{short_repr(name)}: expected a stage's name after the point"
             raise InputError(file.path, problem)
     statuses = _statuses(file.path, str(arrays["report.statuses"]), count)
-    text = str(arrays["report.settings"])
-    settings = parse_json(file.path, text, _MAX_SETTINGS_CHARACTERS, allow_nan=True)
-    if not isinstance(settings, dict):
-        problem = f"found {short_repr(settings)}, expected a JSON table"
-        raise InputError(file.path, f"report.settings: {problem}")
     return Report(
         markers=tuple(arrays["report.markers"].tolist()),
-        **{name: arrays[f"report.{name}"] for name in _REPORT_FIELDS},
+        **{name: arrays[f"report.{name}"] for name in SAMPLED},
         statuses=statuses,
         milliseconds={name.removeprefix(_STAGE_PREFIX): array for name, array in spent.items()},
-        settings=settings,
+        run=_run(file.path, str(arrays["report.settings"])),
     )
+
+
+def _run(path: str | Path, text: str) -> Run:
+    """The entries that a ``Run`` has; earlier versions wrote others, too."""
+    stated = parse_json(path, text, _MAX_SETTINGS_CHARACTERS, allow_nan=True)
+    _check_kind(path, "report.settings", stated, {})
+    run = {}
+    for name, usual in vars(Run()).items():
+        if name in stated:
+            _check_kind(path, f"report.settings.{name}", value := stated[name], usual)
+            run[name] = tuple(value) if isinstance(value, list) else value
+    return Run(**run)
+
+
+def _check_kind(path: str | Path, name: str, value: object, usual: object) -> None:
+    """InputError where what a JSON text has is of another kind than usual."""
+    kind, expected = _JSON_KINDS[type(usual)]
+    if not isinstance(value, kind):
+        raise InputError(path, f"{name}: found {short_repr(value)}, expected {expected}")
 
 
 def _statuses_text(statuses: Sequence[tuple[str, ...]]) -> str:

@@ -98,7 +98,7 @@ def _summarise_report(times: np.ndarray, report: Report) -> dict:
             for name, errors in zip(report.markers, np.asarray(report.marker_errors).T, strict=True)
         },
         "landmarks": _by_landmark(report),
-        "settings": report.settings,
+        "settings": report.run.as_dict(),
     }
 
 

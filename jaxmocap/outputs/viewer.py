@@ -95,7 +95,7 @@ def _log_motion(
     scene, pieces = make_scene(motion), body_pieces(motion.skeleton)
     floor, uncertainty = floor_of(scene, pieces), uncertainty_of(motion)
     fields = {name: list(shot.fields) for name, shot in footage.items()}
-    without = motion.report.settings.get("deviations_without_m") if motion.report else None
+    without = motion.report.run.deviations_without_m if motion.report else None
     stream.send_blueprint(layout.lay_out(fields, scene, floor, why=bool(without)))
     recorder.log_pieces(stream, scene.tree, {} if surface else pieces, floor)
     recorder.log_styles(stream, targets)

@@ -25,9 +25,9 @@ def frames_per_second(report: Report | None) -> float:
 
     Compilation is included. NaN where nothing was timed.
     """
-    if report is None or not (seconds := report.settings.get("seconds", {})):
+    if report is None or not (seconds := report.run.seconds):
         return float("nan")
-    count = report.settings.get("video_frames") or len(report.statuses)
+    count = report.run.video_frames or len(report.statuses)
     return count / sum(seconds.values())
 
 
@@ -37,12 +37,12 @@ def summary(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] 
     rows = [("samples", f"{len(motion.times)}, {motion.times[0]:.2f} to {motion.times[-1]:.2f} s")]
     if report is not None:
         rows += _figures(report)
-        if fitted := report.settings.get("fitted"):
-            rows.append(("fitted", fitted))
+        if report.run.fitted:
+            rows.append(("fitted", report.run.fitted))
         rows += [("status", sentence) for sentence in _statuses(report)]
-        if on := report.settings.get("filters", {}).get("on"):
+        if on := report.run.filters.get("on"):
             rows.append(("filters", ", ".join(f"{name} = {value}" for name, value in on.items())))
-        rows += [("warning", warning) for warning in report.settings.get("warnings", ())]
+        rows += [("warning", warning) for warning in report.run.warnings]
         if (sentence := misfit(motion)) is not None:
             rows.append(("warning", sentence))
     rows += [("warning", sentence) for sentence in warnings]
@@ -52,12 +52,12 @@ def summary(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] 
 
 
 def _figures(report: Report) -> list[tuple[str, str]]:
-    rows, seconds = [], report.settings.get("seconds", {})
+    rows, seconds = [], report.run.seconds
     if seconds:
         passes = ", ".join(
             f"{name} {spent:.1f} s" for name, spent in seconds.items() if spent > 0.05
         )
-        frames = report.settings.get("video_frames", 0)
+        frames = report.run.video_frames
         of_frames = f" for {frames} video frames" if frames else ""
         rows.append(("took", f"{sum(seconds.values()):.1f} s{of_frames}: {passes}"))
     columns = zip(report.markers, report.marker_errors.T, strict=True)
@@ -68,7 +68,7 @@ def _figures(report: Report) -> list[tuple[str, str]]:
     if np.isfinite(deviations).any():
         left, right = 100 * np.nanmedian(deviations, 0)
         rows.append(("elbows", f"left ± {left:.1f} cm, right ± {right:.1f} cm (median)"))
-    without = report.settings.get("deviations_without_m", {})
+    without = report.run.deviations_without_m
     rows += [("why", _why(name, without[name])) for name in EXPLAINED if name in without]
     shares = zip(LANDMARKS, report.undetermined_shares, strict=True)
     unsure = [f"{name} {100 * share:.0f} %" for name, share in shares if share >= LEAST_SHARE]

@@ -232,7 +232,7 @@ def _write_joints(path: Path, motion: Motion, up: str) -> None:
 
 def with_refined_cameras(recording: Recording, motion: Motion) -> Recording:
     """The recording with its cameras rotated as the motion's report states."""
-    turns_deg = {} if motion.report is None else motion.report.settings.get("camera_turns_deg", {})
+    turns_deg = {} if motion.report is None else motion.report.run.camera_turns_deg
 
     def refined(source: VideoSource) -> VideoSource:
         if source.camera_name not in turns_deg:

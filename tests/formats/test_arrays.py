@@ -201,7 +201,8 @@ def report(**change) -> dict[str, np.ndarray]:
         "report.landmarks_std": np.full((SAMPLES, 20, 3), np.inf),
         "report.from_prior": np.zeros((SAMPLES, 20)),
         "report.statuses": np.array(json.dumps([[]] * SAMPLES)),
-        "report.settings": np.array('{"gain": NaN}'),
+        # With an entry that no version has any more.
+        "report.settings": np.array('{"mode": "own", "gain": 1, "tracker": {"gain": NaN}}'),
         "milliseconds.solve": np.zeros(3),
     }
     return good | {f"report.{name}": array for name, array in change.items()}
@@ -209,7 +210,7 @@ def report(**change) -> dict[str, np.ndarray]:
 
 def test_a_report_may_hold_what_is_unknown_or_unbounded(tmp_path, motion):
     read = load_motion(changed(tmp_path, motion | report()))
-    assert read.report is not None and np.isnan(read.report.settings["gain"])
+    assert read.report is not None and np.isnan(read.report.run.tracker["gain"])
     assert len(read.report.statuses) == SAMPLES and list(read.report.milliseconds) == ["solve"]
 
 
@@ -222,6 +223,9 @@ def test_a_report_may_hold_what_is_unknown_or_unbounded(tmp_path, motion):
         ({"statuses": np.array("[" * 200_000)}, "JSON nested too deeply"),
         ({"settings": np.array("{" + '"a":{' * 200 + "}" * 201)}, "JSON nested too deeply"),
         ({"settings": np.array("3")}, "report.settings: found 3, expected a JSON table"),
+        ({"settings": np.array('{"seconds": 3}')}, "settings.seconds: found 3, expected a JSON t"),
+        ({"settings": np.array('{"warnings": "a"}')}, "found 'a', expected a JSON list"),
+        ({"settings": np.array('{"mode": {}}')}, "settings.mode: found {}, expected a text"),
         ({"settings": np.array(f'{{"a": {"9" * 5000}}}')}, "a number of thousands of digits"),
         ({"settings": np.array("{")}, "holds no readable JSON (line 1, column 2"),
         ({"from_prior": np.full((SAMPLES, 20), 2.0)}, "found 2.0, expected numbers from 0 to 1"),

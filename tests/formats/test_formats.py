@@ -2,7 +2,7 @@
 
 import os
 import pickle
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.motion import Motion, Report, Run
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.capture.photographs import read_picture
@@ -360,7 +360,7 @@ def test_a_motion_survives_a_round_trip_with_skeleton_and_report(tmp_path):
         from_prior=rng.integers(0, 2, (4, len(LANDMARKS))).astype(float),
         statuses=((), ("the head was lost",), (), ("a", "b")),
         milliseconds={"solve": rng.uniform(size=5), "refine": rng.uniform(size=3)},
-        settings={"refine": "simplex", "lam": 0.5, "on": jnp.arange(2)},
+        run=Run(mode="own", tracker={"refine": "simplex", "lam": 0.5, "on": jnp.arange(2)}),
     )
     motion = some_motion(report)
     save_motion(tmp_path / "m.npz", motion)
@@ -377,8 +377,8 @@ def test_a_motion_survives_a_round_trip_with_skeleton_and_report(tmp_path):
     assert read.report is not None
     for field in fields(Report):
         ours, theirs = getattr(read.report, field.name), getattr(report, field.name)
-        if field.name == "settings":
-            theirs = theirs | {"on": [0, 1]}
+        if field.name == "run":
+            theirs = replace(theirs, tracker=theirs.tracker | {"on": [0, 1]})
         np.testing.assert_equal(ours, theirs)
 
 

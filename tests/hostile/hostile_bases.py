@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from small_recording import HEIGHT, PLACES, small_recording, write_small_recording
 
 from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
-from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.motion import Motion, Report, Run
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.subject import rest_joints
@@ -227,7 +227,7 @@ def _report() -> Report:
     landmarks = np.full((POSES, len(LANDMARKS), 3), 0.02)
     return Report(
         tuple(PLACES), each, pair, pair, landmarks, landmarks[..., 0] * 0,
-        (("held",),) * POSES, {"solve": np.full(POSES, 0.5)}, {"refine": "none"},
+        (("held",),) * POSES, {"solve": np.full(POSES, 0.5)}, Run("a", "own"),
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from conftest import complaint, rerun_chunks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.motion import Motion, Report, Run
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.body.surfaces.pieces import body_pieces
@@ -64,7 +64,7 @@ def make_report() -> Report:
         from_prior=np.zeros((SAMPLES, len(LANDMARKS))),
         statuses=tuple(missing),
         milliseconds={"solve": np.arange(101.0), "refine": np.full(13, 2.0)},
-        settings={"refine": "gradient", "weights": np.ones(2, np.float32), "limit": np.inf},
+        run=Run(tracker={"refine": "none", "weights": np.ones(2, np.float32), "limit": np.inf}),
     )
 
 
@@ -446,8 +446,8 @@ def test_the_viewer_plots_the_joint_angles_as_angles_mot_has_them(tmp_path, moti
 
 def test_the_viewer_has_a_table_of_why_landmarks_are_where_they_are(tmp_path, motion):
     without = {"elbow_l": {"nothing": 0.05, "camera cam": 0.19}, "neck": {"nothing": 0.02}}
-    settings = {**motion.report.settings, "deviations_without_m": without}
-    explained = replace(motion, report=replace(motion.report, settings=settings))
+    run = replace(motion.report.run, deviations_without_m=without)
+    explained = replace(motion, report=replace(motion.report, run=run))
     write_rerun(tmp_path / "recording.rrd", explained)
     _, static = read_recording(tmp_path / "recording.rrd")
     ((text,),) = static["/why"][0].column("TextDocument:text").to_pylist()
@@ -519,7 +519,8 @@ def test_the_report_tells_times_costs_and_statuses_and_has_null_for_nan(tmp_path
         "spans_s": [[times[5], times[8]], [times[20], times[20]]],
     }
     assert report["statuses"]["planted again"]["count"] == 1
-    assert report["settings"] == {"refine": "gradient", "weights": [1.0, 1.0], "limit": None}
+    tracker = {"refine": "none", "weights": [1.0, 1.0], "limit": None}
+    assert report["settings"]["tracker"] == tracker
     assert report["warnings"] == ["cropped"] and report["offset"] is None
     assert {"jaxmocap", "jax", "numpy", "opencv", "python"} == set(report["versions"])
     assert all(report["versions"].values()) and report["backend"]["platform"]

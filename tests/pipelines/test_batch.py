@@ -290,13 +290,13 @@ def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):
     deviations[4:7, ELBOWS, 0] = [[0.2, 0.5], [0.3, 0.6], [0.9, 0.7]]
     # Frames of which only some fall on a sample.
     spent = report.milliseconds | {"frame": np.array([2.0, 4.0, 9.0])}
-    settings = report.settings | {"video_frames": 3, "seconds": {"first pass": 0.012}}
+    run = replace(report.run, video_frames=3, seconds={"first pass": 0.012})
     changed_report = replace(
         report,
         marker_errors=errors,
         landmarks_std=deviations,
         milliseconds=spent,
-        settings=settings,
+        run=run,
     )
     job = Job("a/b.toml", tmp_path / "a/b.toml", tmp_path / "out/a/b", MARKERS_ONLY, "own")
     row = row_of(job, replace(tracked, report=changed_report), 1.5)

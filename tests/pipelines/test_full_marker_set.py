@@ -78,7 +78,7 @@ def test_a_full_set_is_met_and_the_sentence_says_what_was_fitted(tracked):
     assert tracked.report is not None
     errors = tracked.report.marker_errors
     assert np.nanmean(errors) < 0.01 and np.nanmedian(errors, 0).max() < 0.02
-    assert "fitted" in summary(tracked) and "30 markers" in tracked.report.settings["fitted"]
+    assert "fitted" in summary(tracked) and "30 markers" in tracked.report.run.fitted
     assert misfit(tracked) is None
 
 
@@ -88,7 +88,7 @@ def test_few_samples_are_counted_once_and_a_gap_is_passed_through(twisted):
     positions = recording.positions_world[rows]
     positions[missing] = np.nan
     found = track(replace(recording, times=recording.times[rows], positions_world=positions))
-    assert "4 samples" in found.report.settings["fitted"]
+    assert "4 samples" in found.report.run.fitted
     angles = found.poses.angles
     np.testing.assert_allclose(angles[missing], angles[[1, 3]].mean(0), atol=1e-4)
 
@@ -116,7 +116,7 @@ def test_without_fit_places_and_lengths_stay_as_stated(twisted):
     recording = load_recording(folder / "unfitted.toml")
     motion = track(recording)
     assert np.array_equal(motion.skeleton.lengths, recording.skeleton.lengths)
-    assert motion.report is not None and not motion.report.settings["fitted"]
+    assert motion.report is not None and not motion.report.run.fitted
 
 
 def test_few_markers_leave_the_body_as_it_is(tmp_path):

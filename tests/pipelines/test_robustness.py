@@ -80,7 +80,7 @@ def test_times_and_reports_are_given_for_each_fault():
     statuses: list[tuple[str, ...]] = [()] * FRAMES
     statuses[10] = statuses[30] = tuple(unseen(span))
     none = np.zeros((FRAMES, 0))
-    report = Report((), none, none, none, none, none, tuple(statuses), {}, {})
+    report = Report((), none, none, none, none, none, tuple(statuses))
     still = Pose(np.zeros((FRAMES, 3)), np.zeros((FRAMES, 4)), none)  # type: ignore[arg-type]
     motion = Motion(Skeleton.human(), np.arange(FRAMES) / 30, still, report)
     outcome = evaluated("made up", motion, off, usual, faulty)

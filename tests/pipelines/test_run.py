@@ -94,13 +94,13 @@ def test_a_tracker_takes_its_recordings_markers_and_no_others():
 
 
 def test_why_a_landmark_is_where_it_is_is_stated(tracked, again):
-    listed = tracked.motion.report.settings["deviations_without_m"]
+    listed = tracked.motion.report.run.deviations_without_m
     elbow = listed["elbow_l"]
     assert elbow["marker LWrist"] > 1.2 * elbow["nothing"]
     median = float(np.median(tracked.motion.report.elbow_deviations[:, 0]))
     assert elbow["nothing"] == pytest.approx(median, rel=0.3)
     assert "why" in summary(tracked.motion) and "marker LWrist ± " in summary(tracked.motion)
-    assert not again[0].report.settings["deviations_without_m"] and "why" not in summary(again[0])
+    assert not again[0].report.run.deviations_without_m and "why" not in summary(again[0])
     with pytest.raises(InputError, match="found --why, which is of poses that are smoothed"):
         track_both(small_recording(), mode="causal", tracker=compiled(), why=True)
 
@@ -117,13 +117,13 @@ def test_a_clock_that_is_surely_wrong_is_corrected_in_the_motion_and_for_the_out
     monkeypatch.setattr(events, "check_clocks", corrected)
     wrong = replace(small_recording(), videos=(replace(right, offset=0.07),))
     found = track_both(wrong, tracker=compiled())
-    assert "cam: another offset" in found.motion.report.settings["warnings"]
+    assert "cam: another offset" in found.motion.report.run.warnings
     assert found.recording.videos[0].offset == right.offset
     np.testing.assert_array_equal(found.motion.poses.angles, tracked.motion.poses.angles)
     # A live run has no later frames.
     unchanged = track_both(wrong, mode="causal", tracker=compiled())
     assert unchanged.recording.videos[0].offset == 0.07
-    assert "cam: another offset" in unchanged.motion.report.settings["warnings"]
+    assert "cam: another offset" in unchanged.motion.report.run.warnings
 
 
 # What comes out ----------------------------------------------------------------------------------
@@ -149,7 +149,7 @@ def test_the_first_row_is_settled_already(tracked):
 def test_filters_are_reported():
     spoilt = replace(with_outlier_and_gap(), filters=Filters(hampel=True, gaps=0.06))
     motion = track(spoilt, tracker=compiled())
-    assert motion.report.settings["filters"]["on"] == {"hampel": True, "gaps": 0.06}
+    assert motion.report.run.filters["on"] == {"hampel": True, "gaps": 0.06}
     assert samples_with(motion, "marker LWrist was an outlier") == [5]
     assert samples_with(motion, "marker RWrist was filled in") == [10, 11, 12]
     assert not samples_with(motion, "marker RWrist is missing")
@@ -176,8 +176,8 @@ def test_stages_are_timed_apart_and_the_first_call_by_itself(tracked):
     assert {len(times[stage]) for stage in ("solve", "refine", "frame")} == {chunks}
     assert times["frame"].max() > max(times["observe"].min(), times["refine"].min())
     report = tracked.motion.report
-    seconds = report.settings["seconds"]
-    assert report.settings["video_frames"] == frames
+    seconds = report.run.seconds
+    assert report.run.video_frames == frames
     assert seconds["first pass"] > times["first_call"][0] / 1e3
     assert seconds["second pass"] >= times["smooth"][0] / 1e3
     assert frames_per_second(report) == pytest.approx(frames / sum(seconds.values()))
@@ -203,11 +203,11 @@ def test_what_is_kept_of_each_sample_is_in_single_precision(tracked, spoilt):
 
 
 def test_the_report_holds_the_trackers_settings(tracked):
-    used = tracked.motion.report.settings
-    assert used["recording"] == "small" and used["mode"] == "own" and used["cameras"] == ["cam"]
-    assert used["markers"] == list(PLACES) and used["warnings"] == []
-    assert used["tracker"]["refine"] == "search"
-    assert used["tracker"]["simplex"]["iterations"] > 0
+    used = tracked.motion.report.run
+    assert used.recording == "small" and used.mode == "own" and used.cameras == ("cam",)
+    assert used.markers == tuple(PLACES) and used.warnings == ()
+    assert used.tracker["refine"] == "search"
+    assert used.tracker["simplex"]["iterations"] > 0
 
 
 def test_tracking_twice_with_one_tracker_gives_the_same(tracked, again):
@@ -236,7 +236,7 @@ def test_nearest_looks_at_a_frame_at_every_sample():
     motion = track(small_recording(), mode="nearest", tracker=compiled())
     assert "sample" not in motion.report.milliseconds
     assert len(motion.report.milliseconds["observe"]) == SAMPLES
-    assert motion.report.settings["mode"] == "nearest"
+    assert motion.report.run.mode == "nearest"
 
 
 def test_causal_rows_do_not_depend_on_what_comes_later(causal):
@@ -265,7 +265,7 @@ def test_causal_poses_without_video_are_smoothed_and_stated():
         track(replace(recording, positions_world=positions), mode="causal")
         for positions in (recording.positions_world, moved)
     )
-    assert motion.report.settings["latency"] == {"seconds": DELAY_S}
+    assert motion.report.run.latency == {"seconds": DELAY_S}
     assert np.isfinite(motion.report.landmarks_std).all()
     assert motion.report.marker_errors.max() < 0.02
     final = int(np.flatnonzero(recording.times <= recording.times[half - 1] - DELAY_S)[-1])
@@ -519,8 +519,8 @@ def test_the_overlay_is_drawn_by_the_camera_as_it_was_found(written, tracked, tm
             return np.stack([frame.to_ndarray(format="gray") for frame in video.decode(video=0)])
 
     def with_turns(turns) -> Motion:
-        settings = {**tracked.motion.report.settings, "camera_turns_deg": turns}
-        return replace(tracked.motion, report=replace(tracked.motion.report, settings=settings))
+        run = replace(tracked.motion.report.run, camera_turns_deg=turns)
+        return replace(tracked.motion, report=replace(tracked.motion.report, run=run))
 
     turn, recording = [0.0, 5.0, 0.0], small_recording()
     (source,) = recording.videos
@@ -566,7 +566,7 @@ def test_the_viewer_gets_edges_of_both_arms_and_no_more_frames_than_it_can_hold(
 
 def test_the_summary_names_passes_deviations_and_files(written, tracked):
     text, report = summary(tracked.motion, [written / "joints.trc"]), tracked.motion.report
-    total = sum(report.settings["seconds"].values())
+    total = sum(report.run.seconds.values())
     assert f"{total:.1f} s for {report.settings['video_frames']} video frames: first pass" in text
     left = 100 * np.nanmedian(report.elbow_deviations[:, 0])
     for words in ("samples", "second pass", "Head", f"left ± {left:.1f} cm", "joints.trc"):
@@ -641,7 +641,7 @@ def test_a_real_recording_is_tracked_from_memory(recordings):
         videos=(source,),
     )
     motion = track(recording)
-    assert "calibration 1088" in motion.report.settings["warnings"][0]
+    assert "calibration 1088" in motion.report.run.warnings[0]
     truth = read_markers(recordings / "balancing" / "truth.trc")
     pairs = WRISTS | {"vertex": "Head"}
     distances = evaluate(motion, truth, pairs).distances

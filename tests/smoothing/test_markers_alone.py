@@ -83,7 +83,7 @@ def test_why_of_a_long_recording_says_what_is_stated(recording, monkeypatch):
     report = track_both(recording, why=True).motion.report
     rows = landmark_rows(("pelvis", "elbow_r", "knee_l"))
     stated = np.median(np.linalg.norm(report.landmarks_std, axis=-1), 0)[rows]
-    left_out = report.settings["deviations_without_m"]
+    left_out = report.run.deviations_without_m
     nothing = [left_out[name]["nothing"] for name in ("pelvis", "elbow_r", "knee_l")]
     np.testing.assert_allclose(nothing, stated, rtol=0.25)
 
@@ -94,7 +94,7 @@ def test_why_of_a_few_samples_leaves_out_what_determines_nothing(recording, coun
                   positions_world=recording.positions_world[:count])  # fmt: skip
     report = track_both(few, why=True).motion.report
     assert np.isfinite(report.landmarks_std).all()
-    left_out = report.settings["deviations_without_m"]
+    left_out = report.run.deviations_without_m
     assert all(np.isfinite(own["nothing"]) for own in left_out.values())
 
 
@@ -131,6 +131,6 @@ def test_noisy_markers_are_stated_to_be_so(recording):
     assert np.mean(np.abs(off) < 1.645 * stated) > 0.8
     # Still they are smoothed.
     assert np.sqrt(np.mean(off**2)) < 0.015
-    (warning,) = motion.report.settings["warnings"]
+    (warning,) = motion.report.run.warnings
     shake = re.fullmatch(r"the markers shake by (\d+) mm, .*; deviations allow for that", warning)
     assert shake and 17 <= int(shake[1]) <= 23

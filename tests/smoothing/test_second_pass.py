@@ -379,11 +379,11 @@ def test_a_recording_is_smoothed_to_better_elbows_and_the_report_says_how_sure_t
     assert report.marker_errors.shape == (events, len(PLACES)) and report.marker_errors.max() < 0.03
     assert report.swivels.shape == report.elbow_deviations.shape == (events, 2)
     assert (report.elbow_deviations > 0).all()
-    over_all, causal = (tracked.motion.report.settings for tracked in both_passes)
-    (turn,) = over_all["camera_turns_deg"].values()
-    assert list(over_all["camera_turns_deg"]) == ["cam"] and len(turn) == 3
+    over_all, causal = (tracked.motion.report.run for tracked in both_passes)
+    (turn,) = over_all.camera_turns_deg.values()
+    assert list(over_all.camera_turns_deg) == ["cam"] and len(turn) == 3
     assert 0 < np.linalg.norm(turn) < 0.2
-    assert causal["camera_turns_deg"] == {}
+    assert causal.camera_turns_deg == {}
 
 
 def test_a_camera_that_was_pushed_is_named_and_the_elbows_are_found(recording, both_passes):
@@ -392,14 +392,14 @@ def test_a_camera_that_was_pushed_is_named_and_the_elbows_are_found(recording, b
     pushed = replace(video, camera=turn_camera(video.camera, turn))
     motion = track(replace(recording, videos=(pushed,)))
     assert errors_of(motion.poses).mean() < 1.5 * errors_of(usual.poses).mean()
-    (warning,) = set(motion.report.settings["warnings"]) - set(usual.report.settings["warnings"])
+    (warning,) = set(motion.report.run.warnings) - set(usual.report.run.warnings)
     assert "cam: turned by 2" in warning and "calibrate it again" in warning
 
 
 def test_causally_each_pose_waits_for_two_frames_as_the_report_has_it(both_passes):
     motion = both_passes[1].motion
     report = motion.report
-    assert report.settings["latency"]["video frames"] == DELAY_FRAMES
+    assert report.run.latency["video frames"] == DELAY_FRAMES
     # At every frame but the first.
     assert report.milliseconds["smooth"].shape == (FRAMES - 1,)
     assert len(motion.times) == len(TIMES)

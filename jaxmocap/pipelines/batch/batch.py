@@ -201,7 +201,7 @@ def row_of(job: Job, motion: Motion, took_s: float) -> CorpusRow:
     report = motion.report
     assert report is not None
     # Frame by frame and without video nothing states how sure elbows are.
-    is_stated = job.settings.smooth or bool(report.settings.get("video_frames"))
+    is_stated = job.settings.smooth or bool(report.run.video_frames)
     deviations = report.elbow_deviations if is_stated else np.full((1, 2), np.nan)
     finite = deviations[np.isfinite(deviations).all(1)]
     left, right = np.median(finite, axis=0) if len(finite) else (np.nan, np.nan)

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from jaxmocap.body.model import marker_sites
-from jaxmocap.body.motion import Motion, Report, landmarks_over_time
+from jaxmocap.body.motion import Motion, Report, Run, landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, with_joints
 from jaxmocap.body.surfaces.surface import Surface
@@ -199,23 +199,23 @@ def track_silhouettes(
     still = ~determined_landmarks(tracker.body.model.skeleton.tree)
     listed = ", ".join(LANDMARKS[i] for i in np.flatnonzero(still))
     at_rest = [f"not tracked by this body, kept as at rest: {listed}"] if listed else []
-    constants, names = tracker.constants, [source.camera_name for source in recording.videos]
-    described = {
-        "recording": recording.path or recording.name,
-        "cameras": names,
-        "markers": recording.marker_names if markers else (),
-        "deviations": {"calibrated_on": CALIBRATED_ON},
-        "warnings": (*warnings_before, *warnings, *at_rest),
-        "tracker": constants.settings,
-    }
+    constants, names = tracker.constants, tuple(each.camera_name for each in recording.videos)
     tracked = perf_counter()
     shape, (poses, deviations) = result.body.shape, result.smooth(constants)
-    spent = {"passes": tracked - began, "smoothing": perf_counter() - tracked}
-    described |= {"video_frames": len(footage.times), "seconds": spent}
+    run = Run(
+        recording=str(recording.path or recording.name),
+        cameras=names,
+        markers=recording.marker_names if markers else (),
+        warnings=(*warnings_before, *warnings, *at_rest),
+        tracker=plain(constants.settings),
+        deviations={"calibrated_on": CALIBRATED_ON},
+        video_frames=len(footage.times),
+        seconds={"passes": tracked - began, "smoothing": perf_counter() - tracked},
+    )
     off = None
     if guide is not None:
         off = keypoint_distances(landmarks_over_time(shape.skeleton, poses), guide.lines)
-    report = _report(result, deviations, names, plain(described), off)
+    report = _report(result, deviations, run, off)
     motion = Motion(shape.skeleton, footage.times, poses, report, recording.origin_world)
     regions = [report.outlines.region for report in result.reports]
     origins, scales = (np.stack([region[k] for region in regions]) for k in (0, 1))
@@ -272,8 +272,7 @@ def _open(
 def _report(
     result: PassResult,
     deviations: np.ndarray,
-    names: Sequence[str],
-    settings: dict,
+    run: Run,
     distances: np.ndarray | None,
 ) -> Report:
     """How well each frame's pose is determined, and its warnings."""
@@ -281,9 +280,9 @@ def _report(
     none = np.full((count, 2), np.nan)
     joints = result.body.shape.skeleton.tree.joints
     off = np.full(count, np.nan) if distances is None else distances
-    needs_points = distances is not None and len(names) == 1 and not settings["markers"]
+    needs_points = distances is not None and len(run.cameras) == 1 and not run.markers
     statuses = tuple(
-        (*lost_status(report.used, distance, needs_points), *_warnings(report, names, joints))
+        (*lost_status(report.used, distance, needs_points), *_warnings(report, run.cameras, joints))
         for report, distance in zip(result.reports, off, strict=True)
     )
     # Nobody knows how far off a person is who is lost.
@@ -294,7 +293,7 @@ def _report(
     milliseconds = {"frame": np.array(result.milliseconds)}
     return Report(
         (), np.zeros((count, 0)), none, none, deviations, np.full(deviations.shape[:2], np.nan),
-        statuses, milliseconds, settings,
+        statuses, milliseconds, run,
     )  # fmt: skip
 
 

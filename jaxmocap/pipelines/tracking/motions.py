@@ -16,7 +16,7 @@ from jax import Array
 from jaxmocap.body.arms import arms_of, swivels
 from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import Model
-from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.motion import Motion, Report, Run
 from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.capture.filters import butterworth_low_pass
@@ -83,9 +83,9 @@ def motions(
     first_pass: FirstPass,
     trajectory: Trajectory,
     milliseconds: dict[str, list[float]],
-    settings: dict,
+    run: Run,
 ) -> tuple[Motion, Motion]:
-    """A run's motion, and that of the same steps without the video; settings for the report.
+    """A run's motion, and that of the same steps without the video.
 
     They have all samples as arrays, NaN before the first one with a marker.
     """
@@ -112,7 +112,7 @@ def motions(
         **columns,
         statuses=(),
         milliseconds={stage: np.array(times) for stage, times in milliseconds.items()},
-        settings=settings,
+        run=run,
     )
     listed = _warnings(events, first_pass, trajectory.unrecognised, report.elbow_deviations)
     report = replace(report, statuses=listed)

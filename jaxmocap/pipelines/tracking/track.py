@@ -15,7 +15,7 @@ from time import perf_counter
 import jax
 import numpy as np
 
-from jaxmocap.body.motion import Motion
+from jaxmocap.body.motion import Motion, Run
 from jaxmocap.body.pose import Pose
 from jaxmocap.capture.filters import check_cutoff
 from jaxmocap.capture.footage import cached_frames, forward_readers
@@ -177,7 +177,7 @@ def track_both(
                 "smooth", _smooth_recording, opened, events, tracker, first,
                 lambda share: show(round(100 * share), 100), why,
             )  # fmt: skip
-    cameras = [source.camera_name for source in recording.videos]
+    cameras = tuple(source.camera_name for source in recording.videos)
     # Each camera's estimated rotation against its calibration, a vector in its frame.
     turns = [] if trajectory is None else np.degrees(trajectory.turns_cam).tolist()
     warnings = opened.warnings + _turn_warnings(cameras, turns)
@@ -188,29 +188,28 @@ def track_both(
     people = CALIBRATED_ON["markers" if not used else "causal" if causal else "video"]
     # Within which a smoothed causal pose is given out.
     latency = ({"video frames": DELAY_FRAMES} if used else {}) | {"seconds": DELAY_S}
-    figures = {
-        "recording": recording.path or recording.name,
-        "mode": mode,
-        "cameras": cameras,
-        "markers": recording.marker_names,
-        "warnings": warnings,
-        "filters": opened.cleaning.figures(),
-        "tracker": tracker.settings,
-        "camera_turns_deg": dict(zip(cameras, turns, strict=False)),
-        "deviations_without_m": deviations_without(left_out or (), recording.marker_names, cameras),
-        "deviations": {"calibrated_on": people if tracker.settings.smooth else None},
-        "latency": latency if smoother else {},
-        "video_frames": _frame_count(events.timeline.frame_index) if used else 0,
-        "seconds": {"first pass": passed - began, "second pass": perf_counter() - passed},
-    }
-    if by_markers:
-        figures["fitted"] = by_markers.sentence
-        trajectory = trajectory or by_markers.trajectory
+    run = Run(
+        recording=str(recording.path or recording.name),
+        mode=mode,
+        cameras=cameras,
+        markers=recording.marker_names,
+        warnings=warnings,
+        filters=opened.cleaning.figures(),
+        tracker=plain(tracker.settings),
+        camera_turns_deg=dict(zip(cameras, turns, strict=False)),
+        deviations_without_m=deviations_without(left_out or (), recording.marker_names, cameras),
+        deviations={"calibrated_on": people if tracker.settings.smooth else None},
+        latency=latency if smoother else {},
+        video_frames=_frame_count(events.timeline.frame_index) if used else 0,
+        seconds={"first pass": passed - began, "second pass": perf_counter() - passed},
+        fitted=by_markers and by_markers.sentence,
+    )
+    trajectory = trajectory or (by_markers and by_markers.trajectory)
     ended = trajectory or steps_as_trajectory(first)
     if cutoff:
         ended = ended._replace(poses=_low_pass(events, ended.poses, tracker, cutoff))
     as_tracked = replace(recording, videos=opened.recording.videos)
-    found = motions(tracker.model, events, first, ended, clock.milliseconds, plain(figures))
+    found = motions(tracker.model, events, first, ended, clock.milliseconds, run)
     return Tracked(*found, as_tracked)
 
 
