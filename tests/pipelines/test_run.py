@@ -567,7 +567,7 @@ def test_the_viewer_gets_edges_of_both_arms_and_no_more_frames_than_it_can_hold(
 def test_the_summary_names_passes_deviations_and_files(written, tracked):
     text, report = summary(tracked.motion, [written / "joints.trc"]), tracked.motion.report
     total = sum(report.run.seconds.values())
-    assert f"{total:.1f} s for {report.settings['video_frames']} video frames: first pass" in text
+    assert f"{total:.1f} s for {report.run.video_frames} video frames: first pass" in text
     left = 100 * np.nanmedian(report.elbow_deviations[:, 0])
     for words in ("samples", "second pass", "Head", f"left ± {left:.1f} cm", "joints.trc"):
         assert words in text
