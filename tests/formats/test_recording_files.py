@@ -168,6 +168,10 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
             COMPLETE + "[extra]\n",
             "unknown key 'extra', expected markers, video, calibration, subject",
         ),
+        (
+            COMPLETE + "[osc]\n",
+            "found [osc], as in the file of a live run, expected a recording's; 'jaxmocap live' ta",
+        ),
         (changed("m.trc", "n.trc"), "[markers] file: no such file: "),
         (changed('"m.trc"', "3"), "[markers] file: found 3, expected text"),
         (changed("file =", "fiel =", 1), "[markers]: unknown key 'fiel', expected file, up"),

@@ -344,6 +344,16 @@ def test_orientations_that_are_not_used_or_do_not_come_are_shown():
     assert states["orientations not used"].startswith("Left; 'jaxmocap live LIVE.toml --calibrate'")
 
 
+def test_an_orientation_that_is_left_out_on_purpose_is_not_listed_as_not_used(tmp_path):
+    text = "[markers.on]\nHmd = { bone = 'head', turn = false }\nHand = { bone = 'hand_l' }\n"
+    places = live_setup(tmp_path, text).places
+    gathers = SampleAssembler(("Hmd", "Hand"), {}, np.eye(3), lambda sample: None)
+    turn = (0.0, 0.0, 0.0, 1.0)
+    sent = [MarkerMessage((name,), (0.0, 0.0, 0.0), turn) for name in ("Hmd", "Hand")]
+    gathers.add(sent, 0.0, 0.0, is_complete=True)
+    assert dict(_orientation_states(gathers, places))["orientations not used"].startswith("Hand;")
+
+
 def test_a_device_that_sends_no_quaternion_is_placed_but_not_turned():
     built = OscMessageBuilder("/VMC/Ext/Tra/Pos")
     for value in ("waist", 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0):

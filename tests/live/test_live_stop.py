@@ -56,9 +56,9 @@ def threads() -> list[str]:
     return [t.name for t in threading.enumerate() if t.name.startswith(OURS)]
 
 
-def bundle_of_markers() -> bytes:
+def bundle_of_markers(unit: float = 1.0) -> bytes:
     bundle = Bundle([("/VMC/Ext/Tra/Pos", [name, *[0.0] * 7]) for name in PLACES])
-    return bundle.fill(np.tile([0.1, 1.0, 0.2, 0, 0, 0, 1], (len(PLACES), 1)))
+    return bundle.fill(np.tile([0.1 * unit, unit, 0.2 * unit, 0, 0, 0, 1], (len(PLACES), 1)))
 
 
 def send_markers(address: Address, stop: threading.Event) -> None:
@@ -188,6 +188,26 @@ def test_a_run_that_received_nothing_says_so_and_leaves_nothing(tmp_path):
     (problem,) = figures["problems"]
     assert problem.startswith("no marker came in at 127.0.0.1:")
     assert figures["recording"] is None and not (tmp_path / "out").exists() and not threads()
+
+
+def test_a_run_whose_packets_are_mostly_absurd_says_so(tmp_path):
+    """As of a sender that counts in millimetres but for its first packets."""
+    live = Live(replace(small_setup(tmp_path), videos=()), status=LiveStatus(StringIO()))
+    stop = threading.Event()
+
+    def send() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for unit in (1.0, 1.0, *[1000.0] * 1000):
+                sender.sendto(bundle_of_markers(unit), tuple(live.address))
+                if stop.wait(1 / 90):
+                    return
+
+    threading.Thread(target=send, daemon=True).start()
+    figures = live.run(seconds=1.0)
+    stop.set()
+    (problem,) = figures["problems"]
+    assert f"{figures['ignored']['absurd']} of {figures['packets']} packets at 127.0.0.1" in problem
+    assert problem.endswith("were absurd; expected positions in metres, within 100 m of the origin")
 
 
 def test_a_run_whose_recording_fails_goes_on_and_says_so_once(tmp_path, monkeypatch):

@@ -84,21 +84,23 @@ class MarkerStream(MarkerSource):
             arrived = self._now()
             self.packets += 1
             sender = self.senders.sender_at(self._name, arrived)
-            messages = []
+            messages, is_absurd = [], False
             for name, (first, scales, has_orientation) in channels.items():
                 x, y, z = (values[first + axis] * scale for axis, scale in enumerate(scales))
                 if max(abs(x), abs(y), abs(z)) > MAX_DISTANCE_M:
-                    self.ignored["absurd"] += 1
+                    is_absurd = True
                 elif math.isfinite(x + y + z):
                     quaternion = (
                         unit_quaternion(values[first + 3 : first + 7]) if has_orientation else None
                     )
                     messages.append(MarkerMessage((name,), (x, y, z), quaternion))
+            self.ignored["absurd"] += is_absurd
             if messages:
                 is_prompt = not inlet.samples_available()
                 time = sender.time(arrived, stamp, is_prompt)
                 if self._assembler.add(messages, time, arrived, True):
                     self.last_arrival = arrived
+                    self.packets_used += 1
             self.last_look = arrived
 
     def _channels(self, info: Any) -> dict[str, tuple[int, tuple[float, ...], bool]]:

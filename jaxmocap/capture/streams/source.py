@@ -56,6 +56,7 @@ class MarkerSource(Listener):
         ignored: why -> how many packets, the whole of them or parts.
         hints: why -> what to do about it.
         packets: that came in.
+        packets_used: those with a marker of ours.
         last_arrival: when a marker came in last, ``monotonic`` seconds; None before.
         last_look: when what had come in until then had last been read; a thread that has to wait
             for others says nothing about what comes in.
@@ -73,7 +74,7 @@ class MarkerSource(Listener):
         """Prepare a thread, which takes so many seconds to end, at most."""
         super().__init__("markers", timeout_s)
         self.address, self.senders = address, senders
-        self.ignored, self.packets = Counter[str](), 0
+        self.ignored, self.packets, self.packets_used = Counter[str](), 0, 0
         self.last_arrival: float | None = None
         self.last_look = -math.inf
         self.problem: str | None = None

@@ -140,6 +140,7 @@ class MarkerSocket(MarkerSource):
             time = sender.time(datagram.arrived, packet.stamp, is_prompt)
             if self._assembler.add(packet.markers, time, datagram.arrived, packet.is_bundle):
                 self.last_arrival = datagram.arrived
+                self.packets_used += 1
         # Only now, so that nobody who looks meanwhile misses what came with them.
         self.last_look = now
 

@@ -1,7 +1,8 @@
 """``jaxmocap live``: markers and cameras, tracked as they come in, until Ctrl-C.
 
 INPUTS: the file of a live run. OUTPUTS: poses over the network, by choice a recording; figures.
-Exit code 1 where nothing came in or it was not all recorded, 143 where SIGTERM ended it.
+Exit code 1 where nothing came in, or mostly what is absurd, or it was not all recorded; 143 where
+SIGTERM ended it.
 """
 
 import argparse

@@ -44,6 +44,7 @@ class MarkerPlace:
     # where the marker's orientation is not used.
     orientation: tuple[float, float, float, float] | None = None
     lever: float = LEVER_M  # metres that weigh as much as a radian
+    states_no_turn: bool = False  # ``turn = false``: the orientation is left out on purpose
 
     @property
     def needs_orientation(self) -> bool:
@@ -69,6 +70,8 @@ def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
         if abs(norm - 1) > 0.01:
             raise fields.error("turn", f"found a quaternion of length {norm:g}, expected 1")
         stated["orientation"] = tuple((quaternion / norm).tolist())
+    elif "turn" in fields:
+        stated["states_no_turn"] = True
     if "lever" in fields:
         stated["lever"] = lever = fields.number("lever", high=FARTHEST_OFFSET_M)
         if "orientation" not in stated or not lever > 0.0:

@@ -35,8 +35,9 @@ from jaxmocap.formats.time_series.tables import Markers, check_times
 from jaxmocap.geometry.cameras import on_host
 from jaxmocap.geometry.origin import local_origin
 
-# Of a recording's file.
+# Of a recording's file; and what a live run's has besides.
 TABLES = ("markers", "video", "calibration", "subject")
+LIVE_TABLES = ("osc", "lsl", "vmc", "vrchat")
 
 
 @dataclass(frozen=True)
@@ -131,10 +132,9 @@ def load_recording(path: str | Path, subject: Mapping[str, Any] | None = None) -
             or does not fit.
     """
     path = Path(path)
-    entries = read_toml(path)
+    top = _tables(path)
     if subject is not None:
-        entries = entries | {"subject": dict(subject)}
-    top = TomlTable(path, "", entries, TABLES)
+        top.entries["subject"] = dict(subject)
     skeleton, warnings = subject_or_default(top)
     if "markers" not in top and not top.entries.get("video"):
         raise top.error("", "neither [markers] nor [[video]], expected one of them")
@@ -180,6 +180,15 @@ def load_recording(path: str | Path, subject: Mapping[str, Any] | None = None) -
     return _at_local_origin(top, recording)
 
 
+def _tables(path: Path) -> TomlTable:
+    """The file's tables; InputError for those of a live run's file."""
+    entries = read_toml(path)
+    if live := [name for name in LIVE_TABLES if name in entries]:
+        problem = f"found [{live[0]}], as in the file of a live run, expected a recording's"
+        raise InputError(path, f"{problem}; 'jaxmocap live' takes this file")
+    return TomlTable(path, "", entries, TABLES)
+
+
 def _at_local_origin(top: TomlTable, recording: Recording) -> Recording:
     """The recording about a local origin, where the world's is far from markers or cameras."""
     places = recording.positions_world
@@ -206,7 +215,7 @@ def _at_local_origin(top: TomlTable, recording: Recording) -> Recording:
 def load_markers(path: str | Path) -> tuple[Markers, tuple[MarkerPlace, ...]]:
     """A recording file's markers as measured, in the world's axes, and their places."""
     path = Path(path)
-    top, skeleton = TomlTable(path, "", read_toml(path), TABLES), Skeleton.human()
+    top, skeleton = _tables(path), Skeleton.human()
     markers, (_, places, _), _ = _read_placed_markers(top, skeleton)
     check_bones(path, places, skeleton)
     return markers, places

@@ -264,11 +264,13 @@ class Live:
 
     def _problems(self) -> Iterator[str]:
         """Why the run received or recorded nothing, or not all."""
-        if self._source.last_arrival is None:
-            reason = f": {self._source.problem}" if self._source.problem else ""
-            reason += "".join(hint for why, hint in self._source.hints.items()
-                              if self._source.ignored[why])  # fmt: skip
-            yield f"no marker came in at {self.address}{reason}"
+        source = self._source
+        hints = "".join(hint for why, hint in source.hints.items() if source.ignored[why])
+        if source.last_arrival is None:
+            reason = f": {source.problem}" if source.problem else ""
+            yield f"no marker came in at {self.address}{reason}{hints}"
+        elif (absurd := source.ignored["absurd"]) > source.packets_used:
+            yield f"{absurd} of {source.packets} packets at {self.address} were absurd{hints}"
         if any(to.failed and not to.sent for _, to in self._senders):
             yield "no pose could be sent: the system refuses each datagram to one of the addresses"
         if self.recording is not None and self.recording.problem:

@@ -230,7 +230,11 @@ def _orientation_states(
 ) -> Iterator[tuple[str, str]]:
     """Orientations that come and are not used, and those that are and do not come."""
     placed, oriented = gathering.placed_markers(), gathering.oriented_markers()
-    unused = [p.name for p in places if not p.needs_orientation and p.name in oriented]
+    unused = [
+        place.name
+        for place in places
+        if not (place.needs_orientation or place.states_no_turn) and place.name in oriented
+    ]
     if unused:
         how = "'jaxmocap live LIVE.toml --calibrate' measures how they are held"
         yield "orientations not used", f"{comma_list(unused)}; {how}"
