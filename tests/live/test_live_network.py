@@ -18,9 +18,10 @@ from jaxmocap.capture.streams.stream_clock import StreamClock
 from jaxmocap.capture.streams.udp import MAX_PACKETS_HZ, MarkerSocket, OscTable
 from jaxmocap.formats.files.addresses import LOOPBACK, Address
 from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.recording import LIVE_TABLES
 from jaxmocap.outputs.senders.osc import DatagramSender
 from jaxmocap.pipelines.live.loop import THREAD_SWITCH_S
-from jaxmocap.pipelines.live.setup import load_live
+from jaxmocap.pipelines.live.setup import SENDERS, SOURCES, load_live
 from jaxmocap.pipelines.live.status import (
     FIRST_KEPT,
     NEWEST_KEPT,
@@ -404,3 +405,7 @@ def test_a_sender_that_was_paused_with_its_clock_goes_on_as_its_packets_come(eac
     reader.fetch_until(29.0, each_s)
     assert reader.socket.senders.clock_jumps == 1
     assert reader.at - reader.samples[-1].time < 0.03
+
+
+def test_a_recordings_reader_names_every_table_that_live_files_alone_have():
+    assert set(LIVE_TABLES) == {*SOURCES, *SENDERS}
