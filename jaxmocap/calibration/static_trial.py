@@ -118,7 +118,8 @@ def scale_subject(
         wrists: whether the body has them.
         sex: "female" or "male", beside a height.
     """
-    stated: dict[str, Any] = {"wrists": wrists} | ({} if mass is None else {"mass": mass})
+    every: dict[str, Any] = {"wrists": wrists, "mass": mass, "sex": sex}
+    stated = {key: value for key, value in every.items() if value is not None}
     if static is None:
         if landmarks or up:
             problem = "found without --static, whose trial they describe"
@@ -126,8 +127,7 @@ def scale_subject(
         if height is None:
             problem = "found no source, expected --height, --static or --recording"
             raise InputError("the person", problem)
-        of_sex = {} if sex is None else {"sex": sex}
-        skeleton = read_subject(Path("the person"), "", {**stated, "height": height, **of_sex})
+        skeleton = read_subject(Path("the person"), "", stated | {"height": height})
         measured = {}
     else:
         if height is not None:

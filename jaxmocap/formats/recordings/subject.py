@@ -164,10 +164,7 @@ def write_subject(
     comments: Sequence[str] = (),
     sex: str | None = None,
 ) -> None:
-    """Write a body's bones to a file for [subject]: what it leaves open follows from the height.
-
-    And from the sex, where it is stated.
-    """
+    """Write a body's bones to a file for [subject]; what it leaves open follows from the rest."""
     masses = np.asarray(skeleton.masses, float)
     usual = Skeleton.human(height, proportions=sex or JOINT_CENTRES)
     entries = {}

@@ -48,8 +48,8 @@ def scale_by_recording(
 ) -> LengthsReport:
     """Write the body of the person in a recording, and beside it a picture of the estimates.
 
-    The lengths start from its [subject], or from a height (metres), a mass (kilograms)
-    and a sex ("female" or "male"). The picture is named as ``out`` is, and ends in .png.
+    The lengths start from its [subject], or from a height (metres), a mass (kilograms) and a sex
+    ("female" or "male"). The picture is named as ``out`` is, and ends in .png.
 
     Raises:
         InputError: a recording that cannot determine lengths; what ``track`` would refuse.
