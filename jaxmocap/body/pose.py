@@ -6,6 +6,7 @@ INPUTS: a Pose or its packed vector. OUTPUTS: the other, or a pose moved by a ta
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxmocap.body.skeleton import Skeleton
@@ -52,6 +53,15 @@ def difference(pose: Pose, origin: Pose) -> Array:
     back = origin.quaternion * jnp.asarray([1, -1, -1, -1], origin.quaternion.dtype)
     turn = quaternion_log(quaternion_multiply(pose.quaternion, back))
     return jnp.concatenate([pose.position - origin.position, turn, pose.angles - origin.angles], -1)
+
+
+def halfway(pose: Pose, other: Pose) -> Pose:
+    """Halfway from poses (...) to others, on the host; the pelvis turns the shorter way."""
+    pose, other = (Pose(*map(np.asarray, each)) for each in (pose, other))  # type: ignore[arg-type]
+    alike = np.sum(pose.quaternion * other.quaternion, -1, keepdims=True) >= 0
+    turned = pose.quaternion + np.where(alike, other.quaternion, -other.quaternion)
+    turned = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+    return Pose((pose.position + other.position) / 2, turned, (pose.angles + other.angles) / 2)
 
 
 def beyond_limits(limits: Array, angles: Array) -> Array:

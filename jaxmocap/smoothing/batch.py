@@ -38,7 +38,7 @@ from jaxmocap.images.background_model import spread
 from jaxmocap.images.foreground import is_blank, shrink
 from jaxmocap.images.silhouette_grid import blur_grid
 from jaxmocap.smoothing.elbow_viterbi import elbow_path, turn_arms_along
-from jaxmocap.smoothing.facing import facing_in_time, references
+from jaxmocap.smoothing.facing import references
 from jaxmocap.smoothing.linearise import rows_of, smooth_poses
 from jaxmocap.smoothing.problem import (
     TURN,
@@ -164,11 +164,7 @@ def solve_recording(
     if not cameras:
         return None
     measured = measurements_of(model, first_pass)
-    stated, settings = settings, weigh_by_time(settings, first_pass.times)
-    if model.no_foot_is_marked:
-        by_markers = first_pass.reports.marker_pose
-        facing = facing_in_time(model, stated, first_pass.times, measured, by_markers)
-        measured = measured._replace(facing=facing)
+    settings = weigh_by_time(settings, first_pass.times)
 
     def measured_about(trajectory: Trajectory) -> SmoothingProblem:
         views = _views(model, cameras, trajectory)
@@ -183,7 +179,7 @@ def solve_recording(
 
     poses = first_pass.poses
     if model.no_foot_is_marked:
-        poses = _with_usual_legs(model, settings, first_pass.times, measured, poses)
+        poses = _with_usual_legs(model, settings, first_pass, measured)
     no_change = np.zeros(len(PROPORTIONS), model.dtype)
     trajectory = Trajectory(poses, no_change, _as_calibrated(model, settings))
     problem = measured_about(trajectory)
@@ -252,18 +248,18 @@ def _apart(elbows: np.ndarray, others: np.ndarray) -> np.ndarray:
 def _with_usual_legs(
     model: Model,
     settings: SmoothingSettings,
-    times: np.ndarray,
+    first_pass: FirstPass,
     measured: Measurements,
-    poses: Pose,
 ) -> Pose:
-    """Poses (E, ...) with trunk and legs as is usual of them, elbows where they are.
+    """Poses (E, ...) with trunk and legs as is usual of them, elbows where the first pass has them.
 
     Without the images: from legs that are folded as nobody's are, silhouettes end far off.
     """
-    elbows = landmarks_over_time(model.skeleton, poses, ELBOWS).astype(model.dtype)
+    elbows = landmarks_over_time(model.skeleton, first_pass.poses, ELBOWS).astype(model.dtype)
     measured = measured._replace(elbows=elbows)
-    problem = SmoothingProblem(model, settings, times, measured, Views.no_cameras())
-    start = Trajectory(poses, np.zeros(len(PROPORTIONS), model.dtype), UNTURNED)
+    problem = SmoothingProblem(model, settings, first_pass.times, measured, Views.no_cameras())
+    no_change = np.zeros(len(PROPORTIONS), model.dtype)
+    start = Trajectory(first_pass.marker_poses, no_change, UNTURNED)
     return smooth_poses(problem, start, FINELY, PREPARED).trajectory.poses
 
 
@@ -286,7 +282,7 @@ def _frames_of_cameras(
 
 def measurements_of(model: Model, first_pass: FirstPass) -> Measurements:
     """What was measured of each event besides its silhouettes."""
-    measured = references(model.skeleton, first_pass.times, first_pass.reports.marker_pose)
+    measured = references(model.skeleton, first_pass.times, first_pass.marker_poses)
     # No goals yet: what is there from the start needs no second program later.
     none = np.broadcast_to(np.asarray(np.nan, model.dtype), (len(first_pass.times), 2, 3))
     markers, lines = first_pass.markers_world, first_pass.sight_lines

@@ -53,7 +53,7 @@ def smooth_markers(
     model, count = replace(model, cameras=None), len(first_pass.times)
     measured = measurements_of(model, first_pass)
     usual, samples = walkers_measurements(
-        model, first_pass.times, measured.markers, first_pass.reports.marker_pose,
+        model, first_pass.times, measured.markers, first_pass.marker_poses,
         measured.facing, usual_habits(),
     )  # fmt: skip
     measured = measured._replace(**usual)
@@ -61,7 +61,7 @@ def smooth_markers(
     weighted = weigh_by_time(settings, first_pass.times)
     weighted = replace(weighted, proportions=settings.proportions * views)
     problem = SmoothingProblem(model, weighted, first_pass.times, measured, Views.no_cameras())
-    start = Trajectory(first_pass.poses, np.zeros(len(PROPORTIONS), model.dtype), UNTURNED)
+    start = Trajectory(first_pass.marker_poses, np.zeros(len(PROPORTIONS), model.dtype), UNTURNED)
     some = np.arange(0, count, -(-count // STRETCH))
     own, at = _among(problem, start, some)
     found = smooth_poses(own, at, FINELY).trajectory

@@ -49,6 +49,8 @@ class FirstPass(NamedTuple):
         poses: (E, ...) by markers and video, event by event.
         reports: (E, ...) of the steps; ``marker_pose`` among them, by the markers alone.
         warnings: sentences about each event.
+        both_ways: (E, ...) by the markers alone, halfway between steps in time and steps backwards:
+            neither late nor early. None of a causal run.
         sight_lines: of the landmarks (E, ...), where the recording brings key points.
     """
 
@@ -58,7 +60,13 @@ class FirstPass(NamedTuple):
     poses: Pose
     reports: Any
     warnings: Sequence[Sequence[str]]
+    both_ways: Pose | None = None
     sight_lines: SightLines | None = None
+
+    @property
+    def marker_poses(self) -> Pose:
+        """(E, ...) by the markers alone, without lag where the whole recording is there."""
+        return self.reports.marker_pose if self.both_ways is None else self.both_ways
 
 
 class Views(NamedTuple):

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from jaxmocap.body.motion import landmarks_over_time
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.pose import Pose, halfway
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.capture.footage import ForwardReader, cached_frames, forward_readers
 from jaxmocap.capture.timeline import Timeline
@@ -72,15 +72,31 @@ def scan_events(
         began = clock.keep(stage, began, among)
         show(len(about), len(times))
     poses, reports = gathered.tree
+    both_ways = None
     if tracker.settings.smooth:
+        both_ways = halfway(reports.marker_pose, _poses_backwards(tracker, events.markers_world))
         # A pose that is held while nothing is measured is no start for what goes on meanwhile.
         is_measured = np.isfinite(events.markers_world).all(-1).sum(1) > 0
-        bridged = (bridge_poses(times, each, is_measured) for each in (poses, reports.marker_pose))
-        poses, marker_pose = bridged
+        poses, marker_pose, both_ways = (
+            bridge_poses(times, each, is_measured)
+            for each in (poses, reports.marker_pose, both_ways)
+        )
         reports = reports._replace(marker_pose=marker_pose)
     if about_images:
         about = [own + images for own, images in zip(about, about_images, strict=True)]
-    return _first_pass(events, poses, reports, about)
+    return _first_pass(events, poses, reports, about)._replace(both_ways=both_ways)
+
+
+def _poses_backwards(tracker: HybridTracker, markers_world: np.ndarray) -> Pose:
+    """Poses (E, ...) by the markers alone, each from the one after it.
+
+    A body that turns follows its hands late. Backwards it is as much too early.
+    """
+    state, poses = tracker.init(markers_world[-1]), list[Pose]()
+    for markers in markers_world[::-1]:
+        state, pose, _ = tracker.solve(state, markers)
+        poses.append(jax.tree.map(np.asarray, pose))
+    return jax.tree.map(lambda *parts: np.stack(parts), *poses[::-1])
 
 
 def step_events(
