@@ -53,7 +53,7 @@ def smooth_markers(
     model, count = replace(model, cameras=None), len(first_pass.times)
     measured = measurements_of(model, first_pass)
     usual, samples = walkers_measurements(
-        model, first_pass.times, measured.markers, first_pass.marker_poses,
+        model, first_pass.times, measured.markers, first_pass.reports.marker_pose,
         measured.facing, usual_habits(),
     )  # fmt: skip
     measured = measured._replace(**usual)
