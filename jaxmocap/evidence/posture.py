@@ -12,11 +12,11 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.mass import augmented_bodies
-from jaxmocap.body.model import Model
+from jaxmocap.body.model import SIDES, Model
 from jaxmocap.body.pose import Pose, difference
 from jaxmocap.body.skeleton import Skeleton, landmark_rows
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.compilation.settings import settings, traced
+from jaxmocap.compilation.settings import settings, static, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.geometry.rotations import HIGHEST, cross, quaternion_multiply
 from jaxmocap.solvers.robust import shorten_residuals
@@ -38,6 +38,10 @@ BOW = 1.8
 SOFT = 0.02
 # What is shorter has no direction, metres.
 NOWHERE_M = 1e-6
+# Who bends both knees bends the hips along.
+HIP_JOINTS, KNEE_JOINTS = (
+    tuple(f"{joint}_flexion_{side}" for side in SIDES) for joint in ("hip", "knee")
+)
 # Groups whose joints bear the body.
 BEARING = ("spine", "head", "hip", "leg")
 
@@ -51,14 +55,29 @@ class RelaxedPosture(Term):
         1.0, "of arms' joints about the relaxed pose, as a multiple of what is usual"
     )
     bearing: Array = traced(1.0, "the same of joints that bear the body: of trunk, neck and legs")
+    hips: float = static(
+        0.0, "by so many times what both knees bend beyond ease hips bend along", (0, 2)
+    )
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(D,)."""
         skeleton = model.skeleton
-        away = body.pose.angles - skeleton.relaxed
+        away = self._beyond_knees(skeleton, body.pose.angles - skeleton.relaxed)
         bear = np.isin(skeleton.tree.groups_of_joints, BEARING)
         ease = jnp.where(bear, self.bearing, self.ease)
         return away / (ease * skeleton.usual_deviations)
+
+    def _beyond_knees(self, skeleton: Skeleton, away: Array) -> Array:
+        """Angles (D,) off the relaxed ones, those of hips off what knees have them bend along."""
+        joints = skeleton.tree.joints
+        if not self.hips or not {*HIP_JOINTS, *KNEE_JOINTS} <= set(joints):
+            return away
+        hips, knees = (
+            np.array([joints.index(name) for name in pair]) for pair in (HIP_JOINTS, KNEE_JOINTS)
+        )
+        left, right = away[knees]
+        both = excess(left - excess(left - right))
+        return away.at[hips].add(-self.hips * both)
 
 
 @settings

@@ -49,7 +49,7 @@ class SmoothingSettings:
         "of how the pelvis leans and faces",
     )
     posture: RelaxedPosture = group(
-        lambda: RelaxedPosture(bearing=0.45),  # type: ignore[arg-type]
+        lambda: RelaxedPosture(bearing=0.45, hips=0.8),  # type: ignore[arg-type]
         "of joints at ease",
     )
     limits: JointLimits = group(JointLimits, "of the joints' ranges")

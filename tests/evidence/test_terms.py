@@ -460,6 +460,26 @@ def test_most_joints_are_near_ease_and_a_few_may_be_far():
     assert cost(0.5, 1.0) == pytest.approx(cost(0.5, 0.0) + cost(0.0, 1.0), rel=1e-5)
 
 
+def posture_costs(hips: float, *knees: float) -> float:
+    """What joints cost that are at ease but for hips and knees, degrees."""
+    pose = pose_at(0.0)
+    angles = np.array(PERSON.relaxed)
+    for side, knee in zip("lr", knees, strict=True):
+        angles[PERSON.tree.joint(f"hip_flexion_{side}")] = np.radians(hips)
+        angles[PERSON.tree.joint(f"knee_flexion_{side}")] = np.radians(knee)
+    body = SimpleNamespace(pose=pose._replace(angles=jnp.asarray(angles)))
+    residual = SETTINGS.posture.residual(MODEL, body, Measurements())  # type: ignore[arg-type]
+    return float(jnp.sum(residual**2))
+
+
+def test_who_bends_both_knees_bends_the_hips_along():
+    """Squats that bow by 41 degrees were taken for kneeling upright, feet 48 cm behind."""
+    assert posture_costs(75, 100, 100) < posture_costs(15, 100, 100) - 5
+    # Not of one knee, as of who kicks or walks, nor of legs that stand.
+    assert posture_costs(15, 100, 20) < posture_costs(75, 100, 20) - 5
+    assert posture_costs(15, 30, 30) < posture_costs(75, 30, 30) - 5
+
+
 POSED, PELVIS = jax.jit(posed_body), jax.jit(Pelvis.residual)
 
 
