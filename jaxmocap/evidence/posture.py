@@ -69,11 +69,11 @@ class RelaxedPosture(Term):
 
     def _beyond_knees(self, skeleton: Skeleton, away: Array) -> Array:
         """Angles (D,) off the relaxed ones, those of hips off what knees have them bend along."""
-        joints = skeleton.tree.joints
-        if not self.hips or not {*HIP_JOINTS, *KNEE_JOINTS} <= set(joints):
+        if not self.hips or not {*HIP_JOINTS, *KNEE_JOINTS} <= set(skeleton.tree.joints):
             return away
         hips, knees = (
-            np.array([joints.index(name) for name in pair]) for pair in (HIP_JOINTS, KNEE_JOINTS)
+            np.array([skeleton.tree.joint(name) for name in pair])
+            for pair in (HIP_JOINTS, KNEE_JOINTS)
         )
         left, right = away[knees]
         both = excess(left - excess(left - right))

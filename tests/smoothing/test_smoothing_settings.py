@@ -17,6 +17,8 @@ def test_a_second_of_what_is_usual_weighs_the_same_however_often_was_measured(ra
     assert float(weighed.pelvis.lean) == pytest.approx(
         float(STATED.pelvis.lean) * np.sqrt(rate / LASTING_HZ), rel=1e-5
     )
+    # A slope is no deviation.
+    assert weighed.posture.hips == STATED.posture.hips
     # What was measured counts in each sample.
     assert float(weighed.markers.deviation) == float(STATED.markers.deviation)
     assert float(weighed.silhouettes.deviation) == float(STATED.silhouettes.deviation)
