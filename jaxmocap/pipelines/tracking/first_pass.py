@@ -28,6 +28,7 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.resampling import bridge_poses
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.step import State
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.keypoints.lines import lines_at_events
 from jaxmocap.pipelines.progress import Progress, progress_bar
@@ -74,7 +75,11 @@ def scan_events(
     poses, reports = gathered.tree
     both_ways = None
     if tracker.settings.smooth:
-        both_ways = halfway(reports.marker_pose, _poses_backwards(tracker, events.markers_world))
+        last = jax.tree.map(lambda part: part[-1], reports.marker_pose)
+        # Where the feet stood then is not in the report: they are planted below the head.
+        state = state._replace(pose=last, feet=state.feet._replace(overstretched=np.True_))
+        backwards = _poses_backwards(tracker, state, events.markers_world)
+        both_ways = halfway(reports.marker_pose, backwards)
         # A pose that is held while nothing is measured is no start for what goes on meanwhile.
         is_measured = np.isfinite(events.markers_world).all(-1).sum(1) > 0
         poses, marker_pose, both_ways = (
@@ -87,12 +92,12 @@ def scan_events(
     return _first_pass(events, poses, reports, about)._replace(both_ways=both_ways)
 
 
-def _poses_backwards(tracker: HybridTracker, markers_world: np.ndarray) -> Pose:
-    """Poses (E, ...) by the markers alone, each from the one after it.
+def _poses_backwards(tracker: HybridTracker, state: State, markers_world: np.ndarray) -> Pose:
+    """Poses (E, ...) by the markers alone, each from the one after it, the last from the state.
 
     A body that turns follows its hands late. Backwards it is as much too early.
     """
-    state, poses = tracker.init(markers_world[-1]), list[Pose]()
+    poses = list[Pose]()
     for markers in markers_world[::-1]:
         state, pose, _ = tracker.solve(state, markers)
         poses.append(jax.tree.map(np.asarray, pose))
