@@ -38,7 +38,7 @@ from jaxmocap.images.background_model import spread
 from jaxmocap.images.foreground import is_blank, shrink
 from jaxmocap.images.silhouette_grid import blur_grid
 from jaxmocap.smoothing.elbow_viterbi import elbow_path, turn_arms_along
-from jaxmocap.smoothing.facing import references
+from jaxmocap.smoothing.facing import facing_in_time, references
 from jaxmocap.smoothing.linearise import rows_of, smooth_poses
 from jaxmocap.smoothing.problem import (
     TURN,
@@ -164,7 +164,11 @@ def solve_recording(
     if not cameras:
         return None
     measured = measurements_of(model, first_pass)
-    settings = weigh_by_time(settings, first_pass.times)
+    stated, settings = settings, weigh_by_time(settings, first_pass.times)
+    if model.no_foot_is_marked:
+        by_markers = first_pass.marker_poses
+        facing = facing_in_time(model, stated, first_pass.times, measured, by_markers)
+        measured = measured._replace(facing=facing)
 
     def measured_about(trajectory: Trajectory) -> SmoothingProblem:
         views = _views(model, cameras, trajectory)

@@ -4,29 +4,42 @@ The facing is averaged, since a person turns more slowly than it errs: over the 
 all of it is there, over the time before where it is not.
 
 The markers' own poses go on from one another, and so turn late: with the trunk turned to the left
-they still face right. Halfway to the same poses backwards they turn in time.
+they still face right. Over a whole recording a smoothing of the markers turns in time.
 
 INPUTS: poses of the markers alone. OUTPUTS: measurements.
 """
+
+from dataclasses import replace
 
 import jax
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from jaxmocap.body.model import Model
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
+from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.arrays import on_device
 from jaxmocap.compilation.programs import Program
 from jaxmocap.evidence.ground import ANKLES
+from jaxmocap.evidence.posture import UNMARKED_FACING
 from jaxmocap.evidence.terms import Measurements
 from jaxmocap.geometry.rotations import quaternion_to_matrix
+from jaxmocap.smoothing.linearise import smooth_poses
+from jaxmocap.smoothing.problem import UNTURNED, SmoothingProblem, Trajectory, Views
+from jaxmocap.smoothing.settings import SmoothingSettings, weigh_by_time
 
 # Standard deviation of the average over the time around, seconds.
 AROUND_S = 0.5
 # Time constant of the average over the time before, seconds.
 BEFORE_S = 0.35
 
+# By how much a smoothing of the markers turns from where their own poses face, radians (standard
+# deviation). With 1.0 thrusting arms turn the trunk, with 0.3 it is late.
+TURNED_RAD = 0.5
+# So many events a second are enough for it.
+EVENTS_HZ = 30.0
 # Longer steps are pauses, seconds.
 LONGEST_STEP_S = 0.1
 
@@ -44,6 +57,42 @@ def references(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> Measuremen
         np.array(part, skeleton.lengths.dtype) for part in (R[:, :2, 2], facing, ankles)
     )
     return Measurements(upright=upright, facing=facing, ankles=ankles)
+
+
+def facing_in_time(
+    model: Model,
+    settings: SmoothingSettings,
+    times: np.ndarray,
+    measured: Measurements,
+    poses: Pose,
+) -> np.ndarray:
+    """Where somebody faces (T, 3) whose feet have no marker, by all markers at once.
+
+    Args:
+        model: of the person, the markers and the cameras, which take no part.
+        settings: of the smoothing.
+        times: (T,) seconds.
+        measured: with the ``references`` of the poses.
+        poses: (T, ...) by the markers alone.
+    """
+    stride = max(1, int(1 / (EVENTS_HZ * _mean_step(times)) + 1e-3))
+    rows = np.arange(0, len(times), stride)
+    pelvis = replace(settings.pelvis, facing=on_device(TURNED_RAD / UNMARKED_FACING))
+    # Markers alone tell little of lengths: they count as if each event were a view.
+    lengths = settings.proportions * len(rows)
+    problem = SmoothingProblem(
+        model,
+        weigh_by_time(replace(settings, pelvis=pelvis, proportions=lengths), times[rows]),
+        times[rows],
+        jax.tree.map(lambda part: part[rows], measured),
+        Views.no_cameras(),
+    )
+    some = jax.tree.map(lambda part: np.asarray(part)[rows], poses)
+    start = Trajectory(some, np.zeros(len(PROPORTIONS), model.dtype), UNTURNED)
+    found = smooth_poses(problem, start, (1.0,)).trajectory.poses
+    ahead = np.asarray(_matrices(on_device(found.quaternion)))[:, :2, 0]
+    every = np.stack([np.interp(times, times[rows], column) for column in ahead.T], -1)
+    return _level(every).astype(model.dtype)
 
 
 def _mean_step(times: np.ndarray) -> float:

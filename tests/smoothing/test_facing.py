@@ -1,63 +1,67 @@
 """Where somebody faces by the markers: in time, where the markers' own poses are late."""
 
+import jax
 import numpy as np
 import pytest
-from painted_motion import PERSON, places_of
+from conftest import on_device
+from painted_motion import MODEL, PERSON, SETTINGS, measurements, places_of, truth
 from scipy.spatial.transform import Rotation
 
-from jaxmocap import Recording, Settings, first_pass
-from jaxmocap.body.pose import Pose, halfway, relaxed_pose
-from jaxmocap.formats.recordings.recording import write_recording
-from jaxmocap.formats.time_series.csv import write_csv
-from jaxmocap.smoothing.facing import average_over_time
+from jaxmocap.body.pose import Pose
+from jaxmocap.evidence.terms import Measurements
+from jaxmocap.smoothing.facing import average_over_time, facing_in_time, references
 
-RATE, SECONDS = 60, 3.0
-TIMES = np.arange(0, SECONDS, 1 / RATE)
-WRISTS = {"LWrist": "radius_l", "RWrist": "radius_r"}
-PLACES = {"Head": "head"} | WRISTS
+COUNT, LATE_S = 72, 0.5
+TIMES = np.arange(COUNT) / 30
 
 
 def turning(times: np.ndarray) -> np.ndarray:
-    """Half a turn on the spot in a second and a half, radians."""
-    share = np.clip((times - 0.75) / 1.5, 0, 1)
-    return np.pi * share**2 * (3 - 2 * share)
+    """To the left and to the right, radians."""
+    return np.radians(25) * np.sin(2 * np.pi * times / 2.4)
 
 
 def turned(angles: np.ndarray) -> Pose:
-    """Somebody at ease (T, ...), by (T,) radians about the vertical."""
-    at_ease = relaxed_pose(PERSON)
-    quaternions = Rotation.from_rotvec(angles[:, None] * [0.0, 0.0, 1.0]).as_quat(scalar_first=True)
-    count = len(angles)
-    position = np.tile([0.0, 0.0, 0.92], (count, 1)).astype(np.float32)
-    return Pose(position, quaternions.astype(np.float32), np.tile(at_ease.angles, (count, 1)))
+    """The motion (T, ...), by (T,) radians about the vertical through the pelvis."""
+    poses = truth(COUNT)
+    own = Rotation.from_quat(poses.quaternion, scalar_first=True)
+    about_vertical = Rotation.from_rotvec(angles[:, None] * [0.0, 0.0, 1.0])
+    quaternions = (about_vertical * own).as_quat(scalar_first=True)
+    return Pose(poses.position, quaternions.astype(np.float32), poses.angles)
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_who_turns_fast_faces_where_the_hands_do(tmp_path, way):
-    """By steps in time alone the trunk was 50 degrees late."""
-    points = np.asarray(places_of(turned(way * turning(TIMES))))
-    write_csv(
-        tmp_path / "markers.csv", TIMES, dict(zip(PLACES, points.swapaxes(0, 1), strict=True))
+def aside(ahead: np.ndarray) -> np.ndarray:
+    """Degrees (T,) from where the trunk faces."""
+    found = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    return np.degrees(np.abs(found - turning(TIMES)))
+
+
+@pytest.fixture(scope="module")
+def late() -> tuple[Pose, Measurements]:
+    """The markers' own poses, that follow late, and what is measured."""
+    markers = np.asarray(places_of(on_device(turned(turning(TIMES)))))
+    poses = turned(turning(TIMES - LATE_S))
+    return poses, references(PERSON, TIMES, poses)._replace(
+        markers=markers, elbows=measurements(COUNT).elbows
     )
-    places = {marker: {"bone": bone, "at": 1.0} for marker, bone in PLACES.items()}
-    subject = {"height": 1.75, "proportions": "winter"}
-    path = write_recording(tmp_path, "markers.csv", places, subject=subject)
-    events = first_pass(Recording.load(path), Settings(refine="none"), progress=False)
-    x, y, _ = np.asarray(events.measured.facing).T
-    late = np.degrees(np.unwrap(np.arctan2(y, x)) - way * turning(TIMES))
-    assert np.abs(late).max() < 40
-    # Nearly as early before the middle of the turn as late after it.
-    assert np.abs(late + late[::-1]).max() < 12
 
 
-def test_halfway_between_two_turns_is_the_shorter_way():
-    one, other = turned(np.radians([170.0, 10.0])), turned(np.radians([-170.0, -30.0]))
-    between = halfway(one, other)
-    yaw = Rotation.from_quat(between.quaternion, scalar_first=True).as_euler("xyz", degrees=True)[
-        :, 2
-    ]
-    np.testing.assert_allclose(np.abs(yaw[0]), 180, atol=1e-3)
-    np.testing.assert_allclose(yaw[1], -10, atol=1e-3)
+def test_all_markers_at_once_face_where_the_shoulders_do_and_their_poses_did_before(late):
+    _, measured = late
+    assert aside(measured.facing).mean() > 10
+    poses, measured = late
+    ahead = facing_in_time(MODEL, SETTINGS, TIMES, measured, poses)
+    np.testing.assert_allclose(np.linalg.norm(ahead, axis=-1), 1, atol=1e-5)
+    assert (ahead[:, 2] == 0).all()
+    assert aside(ahead).mean() < 0.6 * aside(measured.facing).mean()
+
+
+def test_events_between_frames_face_between_them(late):
+    every = np.arange(COUNT).repeat(3)
+    times = np.arange(3 * COUNT) / 90
+    poses, measured = (jax.tree.map(lambda part: np.asarray(part)[every], x) for x in late)
+    ahead = facing_in_time(MODEL, SETTINGS, times, measured, poses)
+    assert ahead.shape == (3 * COUNT, 3)
+    assert np.abs(np.diff(np.arctan2(ahead[:, 1], ahead[:, 0]))).max() < np.radians(5)
 
 
 @pytest.mark.parametrize("offset", [0.002, 0.016, 0.031])
