@@ -49,8 +49,8 @@ class FirstPass(NamedTuple):
         poses: (E, ...) by markers and video, event by event.
         reports: (E, ...) of the steps; ``marker_pose`` among them, by the markers alone.
         warnings: sentences about each event.
-        both_ways: (E, ...) by the markers alone, halfway between steps in time and steps backwards:
-            neither late nor early. None of a causal run.
+        both_ways: (E, ...) by the markers alone, in fast turns halfway between steps in time and
+            steps backwards: neither late nor early. None of a causal run.
         sight_lines: of the landmarks (E, ...), where the recording brings key points.
     """
 

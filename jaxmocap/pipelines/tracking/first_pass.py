@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from jaxmocap.body.motion import landmarks_over_time
-from jaxmocap.body.pose import Pose, halfway
+from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.capture.footage import ForwardReader, cached_frames, forward_readers
 from jaxmocap.capture.timeline import Timeline
@@ -34,6 +34,7 @@ from jaxmocap.pipelines.keypoints.lines import lines_at_events
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import RecordingEvents, open_recording, step_warnings
 from jaxmocap.smoothing.batch import measurements_of, silhouettes_of
+from jaxmocap.smoothing.facing import without_hysteresis
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
 from jaxmocap.smoothing.functions import Events
 from jaxmocap.smoothing.problem import FirstPass
@@ -79,7 +80,7 @@ def scan_events(
         # Where the feet stood then is not in the report: they are planted below the head.
         state = state._replace(pose=last, feet=state.feet._replace(overstretched=np.True_))
         backwards = _poses_backwards(tracker, state, events.markers_world)
-        both_ways = halfway(reports.marker_pose, backwards)
+        both_ways = without_hysteresis(times, reports.marker_pose, backwards)
         # A pose that is held while nothing is measured is no start for what goes on meanwhile.
         is_measured = np.isfinite(events.markers_world).all(-1).sum(1) > 0
         poses, marker_pose, both_ways = (
@@ -93,10 +94,7 @@ def scan_events(
 
 
 def _poses_backwards(tracker: HybridTracker, state: State, markers_world: np.ndarray) -> Pose:
-    """Poses (E, ...) by the markers alone, each from the one after it, the last from the state.
-
-    A body that turns follows its hands late. Backwards it is as much too early.
-    """
+    """Poses (E, ...) by the markers alone, each from the one after it, the last from the state."""
     poses = list[Pose]()
     for markers in markers_world[::-1]:
         state, pose, _ = tracker.solve(state, markers)
