@@ -36,6 +36,8 @@ TRUNK_AND_LEGS = landmark_rows(
 BOW = 1.8
 # Its ends are as soft as this.
 SOFT = 0.02
+# How rounded the corner is where either knee is as bent as the other, radians.
+ROUND_RAD = 0.1
 # What is shorter has no direction, metres.
 NOWHERE_M = 1e-6
 # Who bends both knees bends the hips along.
@@ -76,7 +78,8 @@ class RelaxedPosture(Term):
             for pair in (HIP_JOINTS, KNEE_JOINTS)
         )
         left, right = away[knees]
-        both = excess(left - excess(left - right))
+        apart = jnp.sqrt((left - right) ** 2 + ROUND_RAD**2) - ROUND_RAD
+        both = (left + right - apart) / 2
         return away.at[hips].add(-self.hips * both)
 
 

@@ -80,11 +80,17 @@ def frame_values(problem: Problem, x: np.ndarray, t: int) -> np.ndarray:
     bears = np.isin(skeleton.tree.groups_of_joints, ("spine", "head", "hip", "leg"))
     ease = np.where(bears, float(settings.posture.bearing), float(settings.posture.ease))
     usual = ease * np.asarray(skeleton.usual_deviations, float)
+    at_ease, joint = np.array(skeleton.relaxed, float), skeleton.tree.joint
+    knees = [
+        pose.angles[joint(f"knee_flexion_{s}")] - at_ease[joint(f"knee_flexion_{s}")] for s in "lr"
+    ]
+    both = (knees[0] + knees[1] - np.hypot(np.subtract(*knees), 0.1) + 0.1) / 2
+    at_ease[[joint(f"hip_flexion_{s}") for s in "lr"]] += settings.posture.hips * both
     at_markers = site_positions(skeleton, frames, model.markers)
     terms = {
         "markers": (at_markers - measured["markers"], settings.markers.deviation),
         "pelvis": ([*lasting * off_upright(lasting * lean, R, at), turn], [1, 1, 1, facing]),
-        "posture": (pose.angles - skeleton.relaxed, usual),
+        "posture": (pose.angles - at_ease, usual),
         "limits": (pose.angles - np.clip(pose.angles, low, high), settings.limits.deviation),
         "ground": (ankles - measured["ankles"], [place, place, height]),
         "ankles": (beyond_ankles(R, at, measured["ankles"]), settings.ankles.beyond),

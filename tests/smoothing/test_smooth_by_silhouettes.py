@@ -41,7 +41,7 @@ from jaxmocap.smoothing.settings import weigh_by_time
 COUNT = 4
 # Cells by which the second nearest limb is away where no two limbs meet, blurred as they are.
 APART = 3.0
-STEP, ROUNDS = 2e-5, 6
+STEP, ROUNDS = 1e-4, 2
 # As many steps as the recording of sure lengths may take: one program for all.
 PATIENT = replace(SETTINGS, iterations=200)
 CHOSEN = Settings(smoothing=PATIENT)
