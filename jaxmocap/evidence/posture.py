@@ -37,7 +37,7 @@ BOW = 1.8
 # Its ends are as soft as this.
 SOFT = 0.02
 # How rounded the corner is where either knee is as bent as the other, radians.
-ROUND_RAD = 0.1
+ROUND_RAD = 0.3
 # What is shorter has no direction, metres.
 NOWHERE_M = 1e-6
 # Who bends both knees bends the hips along.

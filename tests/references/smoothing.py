@@ -84,7 +84,7 @@ def frame_values(problem: Problem, x: np.ndarray, t: int) -> np.ndarray:
     knees = [
         pose.angles[joint(f"knee_flexion_{s}")] - at_ease[joint(f"knee_flexion_{s}")] for s in "lr"
     ]
-    both = (knees[0] + knees[1] - np.hypot(np.subtract(*knees), 0.1) + 0.1) / 2
+    both = (knees[0] + knees[1] - np.hypot(np.subtract(*knees), 0.3) + 0.3) / 2
     at_ease[[joint(f"hip_flexion_{s}") for s in "lr"]] += settings.posture.hips * both
     at_markers = site_positions(skeleton, frames, model.markers)
     terms = {
