@@ -117,7 +117,9 @@ def test_a_recordings_minimum_and_its_deviations_are_the_dense_ones():
     model, settings = in_double((MODEL, SETTINGS))
     given = SmoothingProblem(model, settings, TIMES, Measurements(**dense.measured), views(1).none)
     start = Trajectory(dense.start, np.zeros(dense.shared))
-    ended = smooth_poses(given, start, (0.8,), 1e-14)
+    # A solve ends with a step of a hundredth of a millimetre; another goes on from there.
+    begun = smooth_poses(given, start, (0.8,), 1e-14)
+    ended = smooth_poses(given, begun.trajectory, (0.8,), 1e-14)
     actual = with_deviations(given, ended.trajectory, 0.8)
     assert ended.status == Status.CONVERGED
     expected = reference.minimum(dense, ROUNDS)
