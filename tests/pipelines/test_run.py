@@ -217,13 +217,18 @@ def test_tracking_twice_with_one_tracker_gives_the_same(tracked, again):
 def test_progress_is_shown_chunk_by_chunk(again):
     calls = again[1]
     total = calls[0][1]
-    assert SAMPLES < total <= SAMPLES + FRAMES
-    chunks = -(-total // EVENTS)
-    ends = [min(EVENTS * (i + 1), total) for i in range(chunks)]
+    # In time and, by the markers alone, backwards.
+    events = total // 2
+    assert SAMPLES < events <= SAMPLES + FRAMES
+    chunks = -(-events // EVENTS)
+    ends = [min(EVENTS * (i + 1), events) for i in range(chunks)]
     assert calls[:chunks] == [(end, total) for end in ends]
+    back = calls[chunks : chunks + events]
+    assert back == [(events + i, total) for i in range(1, events + 1)]
     # The second pass counts for itself, in percent.
-    percents = [done for done, _ in calls[chunks:]]
-    assert {most for _, most in calls[chunks:]} == {100}
+    rest = calls[chunks + events :]
+    percents = [done for done, _ in rest]
+    assert {most for _, most in rest} == {100}
     assert percents == sorted(percents) and percents[-1] == 100
 
 

@@ -7,7 +7,7 @@ INPUTS: RecordingEvents, a tracker, readers of its videos; or a Recording.
 OUTPUTS: FirstPass; smoothed poses; Events, arrays for the pure functions.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from time import perf_counter
 
 import jax
@@ -61,6 +61,8 @@ def scan_events(
     tracker.compile_ahead(scan=True)
     state = tracker.init(events.markers_world[0])
     times, about = events.timeline.event_times, list[tuple[str, ...]]()
+    backwards = tracker.settings.smooth
+    total = len(times) * (2 if backwards else 1)
     gathered = GatheredRows(len(times))
     for chunk in tracker.scan(state, times, events.markers_world, images, clock):
         if not about:
@@ -72,15 +74,18 @@ def scan_events(
         # All stages together, as far as they did not run beside one another.
         stage, among = ("frame", chunk.frames) if chunk.frames else ("sample", len(rows))
         began = clock.keep(stage, began, among)
-        show(len(about), len(times))
+        show(len(about), total)
     poses, reports = gathered.tree
     both_ways = None
-    if tracker.settings.smooth:
-        last = jax.tree.map(lambda part: part[-1], reports.marker_pose)
-        # Where the feet stood then is not in the report: they are planted below the head.
-        state = state._replace(pose=last, feet=state.feet._replace(overstretched=np.True_))
-        backwards = _poses_backwards(tracker, state, events.markers_world)
-        both_ways = without_hysteresis(times, reports.marker_pose, backwards)
+    if backwards:
+        others = _poses_backwards(
+            tracker,
+            state,
+            reports.marker_pose,
+            events.markers_world,
+            lambda done: show(len(times) + done, total),
+        )
+        both_ways = without_hysteresis(times, reports.marker_pose, others)
         # A pose that is held while nothing is measured is no start for what goes on meanwhile.
         is_measured = np.isfinite(events.markers_world).all(-1).sum(1) > 0
         poses, marker_pose, both_ways = (
@@ -93,12 +98,22 @@ def scan_events(
     return _first_pass(events, poses, reports, about)._replace(both_ways=both_ways)
 
 
-def _poses_backwards(tracker: HybridTracker, state: State, markers_world: np.ndarray) -> Pose:
-    """Poses (E, ...) by the markers alone, each from the one after it, the last from the state."""
+def _poses_backwards(
+    tracker: HybridTracker,
+    state: State,
+    in_time: Pose,
+    markers_world: np.ndarray,
+    show: Callable[[int], None],
+) -> Pose:
+    """Poses (E, ...) by the markers alone, each from the one after it, the last from its own."""
+    # Where the feet stood then is not known any more: they are planted below the head.
+    feet = state.feet._replace(overstretched=np.True_)
+    state = state._replace(pose=jax.tree.map(lambda part: part[-1], in_time), feet=feet)
     poses = list[Pose]()
     for markers in markers_world[::-1]:
         state, pose, _ = tracker.solve(state, markers)
         poses.append(jax.tree.map(np.asarray, pose))
+        show(len(poses))
     return jax.tree.map(lambda *parts: np.stack(parts), *poses[::-1])
 
 
