@@ -119,9 +119,11 @@ def test_a_file_that_is_no_recording_is_refused(tmp_path, refusal, content):
     assert "recording.rrd: expected a recording of rerun, found none" in sentence
 
 
-# Makes standard input the terminal of a session, then becomes the program that is named.
+# Makes standard input the terminal of a session, then becomes the program that is named. Whoever
+# started the tests by nohup has them ignore the signal of a closed terminal, and all they start.
 IN_TERMINAL = """
-import fcntl, os, sys, termios
+import fcntl, os, signal, sys, termios
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 os.execv(sys.argv[1], sys.argv[1:])
 """
