@@ -76,13 +76,24 @@ def value(function, *arguments):
 
 def still(tree: Any) -> Any:
     """The tangent that goes nowhere."""
-    return jax.tree.map(np.zeros_like, any_direction(tree, 0))
+
+    def none(leaf):
+        is_real = np.issubdtype(leaf.dtype, np.floating)
+        return np.zeros(leaf.shape, leaf.dtype if is_real else jax.dtypes.float0)
+
+    return jax.tree.map(none, tree)
 
 
-def assert_is_its_finite_difference(function, arguments, seed: int, tolerance: float) -> None:
+def assert_is_its_finite_difference(
+    function, arguments, seed: int, tolerance: float, along=along
+) -> None:
     """A function's derivative along a random direction of all of its arguments."""
     way = any_direction(arguments, seed)
-    ahead, behind = (np.asarray(value(function, *moved(arguments, way, h))) for h in (1e-6, -1e-6))
+    # Values by the same program.
+    ahead, behind = (
+        np.asarray(along(function, moved(arguments, way, h), still(arguments))[0])
+        for h in (1e-6, -1e-6)
+    )
     expected = (ahead - behind) / 2e-6
     actual = np.asarray(along(function, arguments, way)[1])
     largest = np.abs(expected).max()
@@ -376,6 +387,24 @@ class Smoothed:
         return jaxmocap.smooth(model, chosen, Events(times, measured, self.poses)).points
 
 
+@partial(jax.jit, static_argnums=0)
+def both_ways(smoothed, arguments, way, pull):
+    """Points, their derivative along a direction, and a pull at them taken back to ``measured``.
+
+    One program, whose descent is compiled once.
+    """
+    points, push = jax.linearize(smoothed, *arguments)
+    *others, measured = arguments
+    back = jax.linear_transpose(partial(push, *still(others)), measured)
+    return points, push(*way), back(pull)[0]
+
+
+def along_smoothed(smoothed, arguments, way):
+    """Points, and their derivative along a direction."""
+    pull = np.zeros((len(arguments[2]), len(LANDMARKS), 3))
+    return both_ways(smoothed, arguments, way, pull)[:2]
+
+
 def stroke(count: int = 8):
     """Some samples of a table-tennis stroke, its elbows roughly measured."""
     times = np.arange(count) / 30
@@ -402,7 +431,7 @@ def moving():
 def test_a_smoothed_motion_moves_as_finite_differences_say(moving):
     smoothed, arguments, _ = moving
     with double():
-        assert_is_its_finite_difference(smoothed, arguments, 1, 1e-3)
+        assert_is_its_finite_difference(smoothed, arguments, 1, 1e-3, along=along_smoothed)
 
 
 def test_a_smoothed_motion_moves_backwards_as_forwards(moving):
@@ -411,10 +440,8 @@ def test_a_smoothed_motion_moves_backwards_as_forwards(moving):
     *others, measured = arguments
     with double():
         way = any_direction(measured, 3)
-        points, change = along(smoothed, arguments, (*still(tuple(others)), way))
-        pull = np.random.default_rng(3).normal(size=points.shape)
-        backwards = jax.jit(lambda pull: jax.vjp(partial(smoothed, *others), measured)[1](pull))
-        (pulled,) = backwards(jnp.asarray(pull))
+        pull = np.random.default_rng(3).normal(size=(len(arguments[2]), len(LANDMARKS), 3))
+        _, change, pulled = both_ways(smoothed, arguments, (*still(tuple(others)), way), pull)
     each = map(np.vdot, jax.tree.leaves(pulled), jax.tree.leaves(way))
     assert sum(each) == pytest.approx(np.vdot(pull, change), rel=1e-7)
 
@@ -422,7 +449,7 @@ def test_a_smoothed_motion_moves_backwards_as_forwards(moving):
 def test_a_smoothed_motion_is_near_the_truth(moving):
     smoothed, arguments, truth = moving
     with double():
-        points = np.asarray(value(smoothed, *arguments))
+        points = np.asarray(along_smoothed(smoothed, arguments, still(arguments))[0])
     assert points.shape == (len(arguments[2]), len(LANDMARKS), 3)
     off = np.linalg.norm(points[:, LANDMARKS.index("elbow_r")] - truth["elbow_r"], axis=-1)
     assert off.max() < 0.04
