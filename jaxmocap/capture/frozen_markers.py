@@ -65,7 +65,8 @@ def frozen_step(
         finest,
     )
     is_frozen = is_present & (repeats >= FROZEN_SAMPLES) & (time - state.since >= FROZEN_S)
-    return state, is_frozen & _stops_at_once(steps, finest)
+    # Seldom is there anything to look at.
+    return state, is_frozen & _stops_at_once(steps, finest) if is_frozen.any() else is_frozen
 
 
 def _stops_at_once(steps: np.ndarray, finest: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import socket
 from contextlib import contextmanager, suppress
+from functools import cache
 
 import numpy as np
 import pytest
@@ -448,9 +449,14 @@ def test_a_socket_counts_what_it_ignores_and_takes_the_rest():
 
 def packet(ahead: float, port: int = 5000, host: str = "127.0.0.1", at: float = 0.0, stamp=None):
     """One marker so far ahead, from some sender."""
+    return Datagram(at, one_marker(ahead, stamp), host, port)
+
+
+@cache
+def one_marker(ahead: float, stamp: float | None) -> bytes:
+    """A packet's content: python-osc builds it more slowly than it is read."""
     parts = [message("/VMC/Ext/T", stamp)] if stamp is not None else []
-    content = bundle(*parts, device("Tra", "Hmd", 0, 0, ahead))
-    return Datagram(at, content, host, port)
+    return bundle(*parts, device("Tra", "Hmd", 0, 0, ahead))
 
 
 def test_of_a_flood_the_newest_are_read():
