@@ -13,10 +13,11 @@ import hashlib
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
+from threading import RLock
 from typing import Any, Literal, Protocol
 
 import jax
@@ -64,6 +65,8 @@ class _Made:
     # chooses that itself.
     by_itself: Any = None
     restored: Any = None  # the jitted function that looks up what was kept
+    # One thread makes them: of two jitted functions each would be traced and compiled.
+    lock: Any = field(default_factory=RLock)
 
 
 class Program:
@@ -148,21 +151,22 @@ class Program:
 
     def _chosen(self) -> Any:
         """What is jitted: the function, or what looks up what was made of it."""
-        options = _compiler_options(self._effort)
-        if _store is None:
-            made = self._made.by_itself or jax.jit(self._function, compiler_options=options)
-            self._made.by_itself = made
-            return made
-        if self._made.restored is None:
+        with self._made.lock:
+            options = _compiler_options(self._effort)
+            if _store is None:
+                made = self._made.by_itself or jax.jit(self._function, compiler_options=options)
+                self._made.by_itself = made
+                return made
+            if self._made.restored is None:
 
-            def restored(*arguments: Any) -> Any:
-                leaves, structure = jax.tree.flatten(arguments)
-                kept = self._look_up(leaves, structure)
-                return self.jitted(*arguments) if kept is None else kept.call(*leaves)
+                def restored(*arguments: Any) -> Any:
+                    leaves, structure = jax.tree.flatten(arguments)
+                    kept = self._look_up(leaves, structure)
+                    return self.jitted(*arguments) if kept is None else kept.call(*leaves)
 
-            restored.__name__ = self.name
-            self._made.restored = jax.jit(restored, compiler_options=options)
-        return self._made.restored
+                restored.__name__ = self.name
+                self._made.restored = jax.jit(restored, compiler_options=options)
+            return self._made.restored
 
     def _look_up(self, leaves: list[Array], structure: Any) -> export.Exported | None:
         """What an earlier start kept, or what this one makes of it; None if it cannot be kept."""

@@ -1,8 +1,10 @@
 """Programs kept on disk: what a start traced, a later one only reads."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from threading import Barrier
 from typing import NamedTuple
 
 import jax
@@ -58,6 +60,38 @@ def test_a_later_start_reads_what_an_earlier_one_traced(folder: Path) -> None:
     assert isinstance(later, Turned) and later.rest is None
     np.testing.assert_array_equal(later.point, first.point)
     assert float(later.parts["length"]) == pytest.approx(5.0, rel=1e-5)
+
+
+class CountingStore:
+    """Keeps nothing but the names of what it is to keep."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+
+    def read(self, name: str, key: str) -> None:
+        """Nothing is there."""
+
+    def write(self, name: str, key: str, content: bytes) -> None:
+        self.names.append(name)
+
+
+def test_threads_that_call_at_once_make_it_once(folder: Path) -> None:
+    """Many times: two threads that only came close would each make their own."""
+    # What the compiler's options are is found out by then.
+    counted([])(ANGLE, POINT)
+    keep_in(store := CountingStore())
+    names = [f"halved {i}" for i in range(20)]
+    with ThreadPoolExecutor(2) as threads:
+        for name in names:
+            own, begun = Program(lambda x: x / 2, name), Barrier(2)
+
+            def call(x: np.ndarray, own=own, begun=begun) -> np.ndarray:
+                begun.wait()
+                return np.asarray(own(x))
+
+            found = list(threads.map(call, (POINT, 2 * POINT)))
+            np.testing.assert_array_equal(found, (POINT / 2, POINT))
+    assert len(store.names) == len(names)
 
 
 def test_it_returns_what_the_function_returns(folder: Path) -> None:
