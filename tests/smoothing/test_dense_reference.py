@@ -27,7 +27,7 @@ from jaxmocap.solvers.status import Status
 # Of the deviations, what the solve alone leaves uncertain.
 SETTINGS = SmoothingSettings(iterations=60, mismatch=0.0)
 TIMES = np.array([0.0, 0.12, 0.25, 0.36, 0.52, 0.63, 0.8])
-ROUNDS = 30
+ROUNDS = 16
 
 
 def crouching(time: float) -> Pose:
