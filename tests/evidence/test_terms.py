@@ -80,10 +80,10 @@ def frame(kind: str):
         there.markers[:, 1] = np.nan
     if kind == "elbows with goals":
         there = there._replace(elbows=np.full((COUNT, 2, 3), 0.3, np.float32))
-    if kind == "lines of sight":
-        pixels = np.asarray(PROJECT(CAMERAS[0], jnp.asarray(points_of(truth(COUNT)))))
-        names, sure = LANDMARKS, np.full(pixels.shape[:2], 0.9)
-        there = there._replace(sight_lines=lines_of_sight(CAMERAS[0], names, pixels, sure))
+    # One program for all kinds: lines of no confidence where none is meant.
+    pixels = np.asarray(PROJECT(CAMERAS[0], jnp.asarray(points_of(truth(COUNT)))))
+    sure = np.full(pixels.shape[:2], 0.9 if kind == "lines of sight" else 0.0)
+    there = there._replace(sight_lines=lines_of_sight(CAMERAS[0], LANDMARKS, pixels, sure))
     pose, one = jax.tree.map(lambda part: on_device(part[1]), (truth(COUNT), there))
     step = 0.1 * np.random.default_rng(3).standard_normal(ROOT_DOF + pose.angles.size)
     return jax.jit(retract)(pose, on_device(step)), one
