@@ -257,6 +257,7 @@ def test_an_arm_is_less_and_less_sure_after_its_own_last_marker():
 
 
 turned = jax.jit(with_arm_there)
+SEARCH = jax.jit(partial(search_arms, lines=None))
 
 
 def with_right_arm_turned(i: int, turn, pivot: int, unmarked: bool = True) -> Pose:
@@ -279,9 +280,8 @@ def test_an_arm_without_a_marker_is_searched_for_about_its_joints(pivot):
     away = with_right_arm_turned(4, (0.0, -0.8, 0.0), pivot)
     model, both = Model.create(PERSON, MARKERS, CAMERAS), np.ones(2, bool)
     grids = on_device(views(COUNT, (0, 1), [4]).grids, jnp.float32)
-    search = jax.jit(partial(search_arms, lines=None))
     at_joint = np.array([GRIP, pivot], np.int32)
-    found = search(model, SETTINGS, on_device(away, jnp.float32), both, grids, pivots=at_joint)
+    found = SEARCH(model, SETTINGS, on_device(away, jnp.float32), both, grids, pivots=at_joint)
     end = LANDMARKS.index("wrist_r")
 
     def off(pose: Pose) -> float:
