@@ -36,7 +36,7 @@ TRUNK_AND_LEGS = landmark_rows(
 BOW = 1.8
 # Its ends are as soft as this.
 SOFT = 0.02
-# How rounded the corner is where either knee is as bent as the other, radians.
+# Of two knees the straighter one counts, softly where they differ by less, radians.
 ROUND_RAD = 0.3
 # What is shorter has no direction, metres.
 NOWHERE_M = 1e-6
@@ -58,7 +58,7 @@ class RelaxedPosture(Term):
     )
     bearing: Array = traced(1.0, "the same of joints that bear the body: of trunk, neck and legs")
     hips: float = static(
-        0.0, "by so many times what both knees bend beyond ease hips bend along", (0, 2)
+        0.0, "hips bend along by so many times what both knees bend beyond ease", (0, 2)
     )
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
