@@ -75,7 +75,9 @@ def test_two_scans_find_what_the_steps_find(both_ways):
     reports = [way.reports._replace(swivels=None) for way in (actual, expected)]
     assert_same((actual.poses, reports[0]), (expected.poses, reports[1]))
     total = len(actual.markers_world)
-    assert shown == [(EVENTS, total), (total, total)] and total > SAMPLES
+    # Then backwards by the markers alone, event by event.
+    done = [EVENTS, *range(total, 2 * total + 1)]
+    assert shown == [(count, 2 * total) for count in done] and total > SAMPLES
     # Lost markers are reported, and what video found is carried to events without a frame.
     lost = np.isnan(actual.markers_world).any(-1)
     np.testing.assert_array_equal(np.isnan(actual.reports.marker_errors), lost)
