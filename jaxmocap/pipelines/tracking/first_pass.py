@@ -106,7 +106,7 @@ def _poses_backwards(
     show: Callable[[int], None],
 ) -> Pose:
     """Poses (E, ...) by the markers alone, each from the one after it, the last from its own."""
-    # Where the feet stood then is not known any more: they are planted below the head.
+    # The reports do not say where the feet stood: they are planted below the head.
     feet = state.feet._replace(overstretched=np.True_)
     state = state._replace(pose=jax.tree.map(lambda part: part[-1], in_time), feet=feet)
     poses = list[Pose]()
