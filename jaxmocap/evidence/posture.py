@@ -78,8 +78,7 @@ class RelaxedPosture(Term):
             for pair in (HIP_JOINTS, KNEE_JOINTS)
         )
         left, right = away[knees]
-        apart = jnp.sqrt((left - right) ** 2 + ROUND_RAD**2) - ROUND_RAD
-        both = (left + right - apart) / 2
+        both = left - excess(left - right, ROUND_RAD) + ROUND_RAD / 2
         return away.at[hips].add(-self.hips * both)
 
 
@@ -138,9 +137,9 @@ class Pelvis(Term):
         return jnp.concatenate([back, shorten_residuals((others / self.lean)[:, None])[:, 0]])
 
 
-def excess(values: Array) -> Array:
-    """What is above 0, softly."""
-    return (values + jnp.sqrt(values**2 + SOFT**2)) / 2
+def excess(values: Array, soft: float = SOFT) -> Array:
+    """What is above 0, softly: about 0 within as much."""
+    return (values + jnp.sqrt(values**2 + soft**2)) / 2
 
 
 def length(vectors: Array) -> Array:
